@@ -373,7 +373,7 @@ def read_json_columns(path: StrPath, what: str) -> dict[str, Any]:
             raise
     if isinstance(found, dict) and isinstance(found.get("columns"), dict):
         found = found["columns"]  # as `--json` of a table writes it
-    own = isinstance(found, dict) and not {"schema", "findings"}.isdisjoint(found)
+    own = isinstance(found, dict) and ("findings" in found or type(found.get("schema")) is str)
     tables = [] if own else [*_tables_in(found, _DEEPEST)]
     if not tables:
         raise MultiposError(
@@ -396,6 +396,8 @@ def _tables_in(value: Any, depth: int) -> Iterator[dict[str, list[Any]]]:
             yield _of_records(value)
         elif _are_rows(value):
             yield {str(i): [*cells] for i, cells in enumerate(zip(*value, strict=True), 1)}
+    elif isinstance(value, dict) and all(map(str.isdigit, value)):
+        yield from _tables_in([*value.values()], depth - 1)
     elif isinstance(value, dict):
         lists = {name: cells for name, cells in _leaves(value, depth) if isinstance(cells, list)}
         longest = _rows(lists)

@@ -211,12 +211,12 @@ def _begins(before: Sequence[Line], begin: int, header: "_Header") -> str:
 def cells_of(line: str, mark: str) -> list[str]:
     """Return the cells of one line, without white space around them."""
     if not mark:
-        return line.split()
+        return line.rstrip("; ").split()
     cells = line.split(mark)
     if '"' in line:
         with suppress(csv.Error):
             cells = next(csv.reader([line], delimiter=mark), [])
-    return [cell.strip() for cell in cells]
+    return [cell.strip(" \t\r'") for cell in cells]
 
 
 def has_open_quote(line: str, mark: str) -> bool:
@@ -240,7 +240,7 @@ def _separator(head: str, rows: Sequence[str]) -> str:
 
     Where nothing separates and there is no number, a row is one cell.
     """
-    for mark in ";\t,":
+    for mark in ";\t,|":
         names = cells_of(head, mark)
         even = sum(len(cells_of(row, mark)) == len(names) for row in rows)
         if len(names) > 1 and even == len(rows) and not any(map(holds_number, names)):
@@ -249,7 +249,7 @@ def _separator(head: str, rows: Sequence[str]) -> str:
     def numbers(mark: str) -> int:
         return sum(is_number(cell, mark) for row in rows for cell in cells_of(row, mark))
 
-    present = [mark for mark in ";\t," if any(mark in row for row in rows)]
+    present = [mark for mark in ";\t,|" if any(mark in row for row in rows)]
     best = max([*present, ""], key=numbers)  # the first of those that are as good
     return best if best or numbers("") else ","
 
@@ -367,7 +367,7 @@ def _refuse_open_quote(source: str, line: Line) -> None:
 
 def _bare(line: str) -> tuple[str, bool]:
     """Return a line without its comment mark, and whether it had one."""
-    stripped = line.strip()
+    stripped = line.strip(" \r\n")  # a tabulator at its begin stands behind a cell
     commented = is_comment(line)
     return stripped.lstrip("#/%").strip() if commented else stripped, commented
 
@@ -389,7 +389,7 @@ def _names(line: str, shape: _Shape, *, comment: bool) -> tuple[str, ...] | None
 def _may_name(cells: Sequence[str], shape: _Shape) -> bool:
     """Tell whether cells may be names: of the numbers among them all are whole."""
     numbers = [cells[i] for i in shape.numbers if is_number(cells[i], ",")]
-    return any(cells) and all(map(str.isdigit, numbers))
+    return any(re.search(r"\w", cell) for cell in cells) and all(map(str.isdigit, numbers))
 
 
 def units_in(cells: Sequence[str]) -> tuple[str, ...] | None:

@@ -30,6 +30,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from multipos.files.pipes import Unpacked, lines_of
+from multipos.files.written_units import unit_of
 from multipos.results import frozen
 
 DATE = re.compile(
@@ -38,7 +39,7 @@ DATE = re.compile(
 )
 _PLAIN = r"[-+\u2212]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _COMMA = r"[-+\u2212]?\d+,\d+(?:[eE][-+]?\d+)?"
-_LEFT_OUT = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")  # colour codes
+_LEFT_OUT = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|(?<=\*)[0-9A-Fa-f]{2}\s*$")  # colours, checksums
 _INDEX = r"(?<=\w)\[\d\]"  # of a name: accSmooth[0]
 _LAST = 400  # lines that tell what is printed
 _FEW = 8  # lines that tell a table of numbers
@@ -151,7 +152,7 @@ class Records:
 
     def _taken(self, line: str) -> list[str]:
         """Take up a line; return the cells of the record that it ends."""
-        line = _LEFT_OUT.sub("", line).strip() if "\x1b" in line else line.strip()
+        line = (_LEFT_OUT.sub("", line) if "\x1b" in line or "*" in line else line).strip()
         found = self._lines[self._due].fullmatch(line)
         if found is None and self._due and (found := self._lines[0].fullmatch(line)):
             self._held, self._due = [], 0  # the record before is not whole
@@ -196,12 +197,12 @@ def find_printed(lines: Sequence[str]) -> Printed | None:
         return None
     if _is_table(sample):
         return None
-    sample = sample[-_LAST:]
+    begin, sample = sample[:_MOST], sample[-_LAST:]
     parts = [_taken_apart(line, ".") for line in sample]
     decimal = "," if _has_decimal_commas(parts) else "."
     if decimal == ",":
         parts = [_taken_apart(line, decimal) for line in sample]
-    record = _record_of(parts)
+    record = _record_of(parts, [_taken_apart(line, decimal).form for line in begin])
     if record is None or not any(_is_printed(line) for line in record):
         return None
     return _named(record, parts, decimal)
@@ -212,9 +213,9 @@ def _is_table(lines: Sequence[str]) -> bool:
     head, rows = lines[0], lines[1 : 1 + _LAST]
     if not rows or holds_number(_UNIT.sub("", head)):
         return False
-    mark = next((mark for mark in ",;\t" if mark in head), "")
+    mark = next((mark for mark in ",;\t|" if mark in head.lstrip(" |")), "")
     if not mark:
-        return not any(re.search(r"[:=,;\t]", line) for line in lines[: 1 + _LAST])
+        return not any(re.search(r"[:=,;\t|]", line) for line in lines[: 1 + _LAST])
     even = sum(line.rstrip(f" {mark}").count(mark) == head.count(mark) for line in rows)
     return even >= _OFTEN * len(rows)
 
@@ -238,8 +239,8 @@ def _has_decimal_commas(parts: Sequence[_Line]) -> bool:
     return True
 
 
-def _record_of(parts: Sequence[_Line]) -> list[_Line] | None:
-    """Return the lines of a whole record, None where lines follow no form."""
+def _record_of(parts: Sequence[_Line], begin: Sequence[str]) -> list[_Line] | None:
+    """Return the lines of a whole record, None where lines follow no form; how the text begins."""
     forms = [line.form for line in parts]
     numbered = Counter(form for form, line in zip(forms, parts, strict=True) if line.cells)
     if not numbered:
@@ -249,15 +250,16 @@ def _record_of(parts: Sequence[_Line]) -> list[_Line] | None:
         return [parts[len(forms) - 1 - forms[::-1].index(usual)]]
     often = {form: count for form, count in Counter(forms).items() if count >= max(2, most / 9)}
     covered = sum(count for form, count in numbered.items() if form in often)
-    return _cycle(parts, forms, often) if covered >= _OFTEN * numbered.total() else None
+    return _cycle(parts, (*begin, *forms), often) if covered >= _OFTEN * numbered.total() else None
 
 
 def _cycle(
     parts: Sequence[_Line], forms: Sequence[str], often: Mapping[str, int]
 ) -> list[_Line] | None:
-    """Return the lines of a record, from one line of its rarest form to the next."""
-    rarest = min(often.values())
-    first = next(form for form in forms if often.get(form) == rarest)
+    """Return the lines of a record, from one line of its first rare form to the next."""
+    rare = {form for form, count in often.items() if count <= min(often.values()) + 1}
+    first = next(form for form in forms if form in rare)
+    forms = [line.form for line in parts]
     begins = [place for place, form in enumerate(forms) if form == first]
     spans = [(*forms[begin:end],) for begin, end in pairwise(begins)]
     usual = Counter(spans).most_common(1)
@@ -272,7 +274,7 @@ def _is_printed(line: _Line) -> bool:
     if _ESPIDF.match(line.form) or line.form.startswith(">"):
         return bool(line.cells)
     bare = re.sub(r"[\"']", "", line.form)
-    if re.search(r"->|\|", bare):
+    if re.search(rf"[>|]|{_MARK}\*$", bare):
         return bool(line.cells)
     if re.search(rf"[^\W#][^,;#]*[:=]\s*[(\[{{]*{_MARK}|[(\[{{<]{_MARK}|{_MARK}[^\W#_]", bare):
         return True
@@ -375,10 +377,13 @@ def _names_in(line: _Line, group: str) -> list[tuple[str, str]]:
         return [*time, ("", teleplot[1] + (f" [{unit[1]}]" if unit else ""))]
     units = _units_in(line)
     found: list[tuple[str, str]] = []
+    before: list[str] = []
     for place, text in enumerate(line.texts[:-1]):
         if place:
             text = text.removeprefix(units[place - 1]).removeprefix("i ")
+        text, own = _unit_before(text)
         labels = _labels(text)
+        before.append(own if labels or not place else before[-1])
         if len(labels) > 1:
             group = labels[-2]
         found.append((group, labels[-1] if labels else ""))
@@ -388,11 +393,20 @@ def _names_in(line: _Line, group: str) -> list[tuple[str, str]]:
     if _ESPIDF.match(line.form):
         found[0] = ("", "time [ms]")
     found = _spread(found, line)
-    bare = (unit.strip().strip("()[]") for unit in units)
+    pairs = zip(units, before, strict=True)
+    bare = (unit.strip().strip("()[]") or above for unit, above in pairs)
     return [
         (group, f"{name} [{unit}]" if unit and name else name)
         for (group, name), unit in zip(found, bare, strict=True)
     ]
+
+
+def _unit_before(text: str) -> tuple[str, str]:
+    """Return what names a number without the unit in brackets at its end, and the unit."""
+    found = re.fullmatch(r"(.*\w)\s*\(([^()\d]+)\)(\W*)", text, re.DOTALL)
+    if found is None or unit_of(found[2]) is None:
+        return text, ""
+    return found[1] + found[3], found[2]
 
 
 def _labels(text: str) -> list[str]:
@@ -402,7 +416,7 @@ def _labels(text: str) -> list[str]:
     if text.rstrip(" ([{\"'").endswith("=") and len(chunks) > 1:  # a name before it has no blanks
         place = max(place for place, chunk in enumerate(chunks) if chunk or not place)
         chunks[place : place + 1] = chunks[place].split()
-    named = [chunk for chunk in chunks if re.search(r"[^\W\d_]", chunk)]
+    named = [chunk for chunk in chunks if re.search(r"^[^$]*[^\W\d_]", chunk)]
     return [re.sub("\0(.)", r"[\1]", chunk) for chunk in named]
 
 

@@ -27,7 +27,9 @@ def unit_of(written: str) -> str | None:
 
 
 def split_unit(name: str) -> tuple[str, str | None]:
-    """Return a name without the unit in brackets behind it, and the unit."""
+    """Return a name and the unit in brackets behind it; G of an acceleration is g."""
     found = _BRACKETS.fullmatch(name)
     unit = unit_of(found[2]) if found else None
+    if found and unit in ("G", "mG") and "acc" in found[1].casefold():
+        unit = unit.lower()
     return (found[1], unit) if found and unit and found[1] else (name, None)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.spelling import listed
+from multipos.files.spelling import listed, visible
 from multipos.files.written_units import MAGNETIC_UNITS, split_unit
 from multipos.finding import Finding, Findings
 from multipos.logs.clock import time_columns
@@ -29,6 +29,7 @@ from multipos.numerics.arrays import LARGEST_SAMPLE, Array, median
 from multipos.positions import headers
 
 _BLOCK = 32  # rows
+_SHOWN = 40  # characters of a line in a message
 _FEWEST = 12  # blocks
 _VARIES = 0.15  # relative: by a bias of so many g the size of gravity does, over the directions
 _TURNS = 0.5  # of its size: how far a component goes when the sensor is turned
@@ -149,7 +150,12 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
         chosen, by = triad_of_gravity(log, chosen) or chosen, "what they show of gravity"
     texts = [name for name in log.columns if name not in log.numeric]
     headers.refuse_text(log.source, chosen, texts, kinds)
-    _refuse_without_gravity(log.source, chosen, kinds)
+    linear = [n for n in chosen if kinds[n].axis >= 0 and headers.is_without_gravity(kinds[n].stem)]
+    if linear:
+        raise MultiposError(
+            f"{log.source}: column '{linear[0]}' has gravity taken away, by its name; record "
+            "acceleration with gravity, or name the outputs with --outputs."
+        )
     if not chosen:
         raise MultiposError(
             f"{log.source}: no numeric column can be an output ({_seen(log)}); give a file of "
@@ -168,9 +174,12 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
 
 def _seen(log: Log) -> str:
     """Return how many lines a log has, and what is in them."""
-    rows = sum(piece.table.rows for piece in log.read((), (), (), lenient=True))
-    names = ", no names" if log.headless else ""
-    return f"{rows:,} lines, {len(log.numeric) or 'no'} numbers each{names}"
+    first, *others = log.read((), (), (), lenient=True)
+    rows = first.table.rows + sum(piece.table.rows for piece in others)
+    if log.numeric or first.lines is None:
+        names = ", no names" if log.headless else ""
+        return f"{rows:,} lines, {len(log.numeric)} numbers each{names}"
+    return f"{rows:,} lines like '{visible(first.lines()[0])[:_SHOWN]}'"
 
 
 def _first_cells(log: Log, names: Sequence[str]) -> Array:
@@ -189,18 +198,6 @@ def _by_name(names: Sequence[str], kinds: dict[str, headers.NameParts]) -> tuple
         return tuple(named)
     whole = headers.triads_of(names, kinds) if len(names) == 3 else []
     return whole[0] if whole else tuple(names)
-
-
-def _refuse_without_gravity(
-    source: str, chosen: Sequence[str], kinds: dict[str, headers.NameParts]
-) -> None:
-    """Refuse outputs from which gravity has been taken, by their names."""
-    for name in chosen:
-        if kinds[name].axis >= 0 and headers.is_without_gravity(kinds[name].stem):
-            raise MultiposError(
-                f"{source}: column '{name}' has gravity taken away, by its name; record "
-                "acceleration with gravity, or name the outputs with --outputs."
-            )
 
 
 def _find_choice(chosen: tuple[str, ...], names: Sequence[str], by: str) -> Sequence[Finding]:

@@ -54,6 +54,7 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.handed import take_in
 from multipos.files.pipes import rereadable
+from multipos.files.spelling import require_columns
 from multipos.files.tables import Source, Table, read_table
 from multipos.files.trees import read_json_value
 from multipos.files.whole import read_bytes
@@ -718,21 +719,15 @@ def read_sections(source: Source) -> Sections:
 
 
 def _from_table(table: Table) -> tuple[str, Mapping[str, Any]]:
-    where = table.source
-    missing = [name for name in ("position", "start", "end") if name not in table]
-    if missing:
-        raise MultiposError(
-            f"{where}: no column '{missing[0]}'; sections need position, start, end."
-        )
+    require_columns(("position", "start", "end"), table.columns, table.source)
     ends = zip(table.number("start").tolist(), table.number("end").tolist(), strict=True)
     labels = table.text("position")
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice is not None:
-        raise MultiposError(f"{where}: section '{twice}' appears twice; give each its label.")
-    return where, {
-        label: {"start": start, "end": end}
-        for label, (start, end) in zip(labels, ends, strict=True)
-    }
+        where = f"{table.source}: section '{twice}'"
+        raise MultiposError(f"{where} appears twice; give each its label.")
+    rows = [{"start": start, "end": end} for start, end in ends]
+    return table.source, dict(zip(labels, rows, strict=True))
 
 
 def _by_label(given: Mapping[str, Any] | os.PathLike[str]) -> Mapping[str, Any] | None:

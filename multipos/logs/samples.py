@@ -289,7 +289,7 @@ class Samples(Kept):
     def _refuse_named_sensors(self) -> None:
         """Refuse a log in which several sensors take turns that a column of texts names."""
         numbers = {*self.log.numeric, *self.log.nameless}
-        texts = [name for name in self.log.columns if name not in numbers] if self.log.text else []
+        texts = [name for name in self.log.columns if name not in numbers]
         if texts and self.labels is None:
             head = next(self.log.read((), self.outputs, texts, lenient=True), None)
             if head is not None:

@@ -66,6 +66,10 @@ def _lines_of(content: str) -> list[str]:
 def _rows_only(layout: Layout, content: str, first: int) -> Rows:
     """Return the rows among lines, the number of whose first is given, without a last separator."""
     lines, places = rows_of_text(content)
+    if layout.header is not None and any(line.startswith(layout.header[0]) for line in lines):
+        mark, header = layout.delimiter, layout.header
+        kept = [i for i, line in enumerate(lines) if tuple(cells_of(line, mark)) != header]
+        lines, places = [lines[i] for i in kept], [places[i] for i in kept]
     if layout.trailing:
         lines = [line.rstrip().removesuffix(layout.delimiter) for line in lines]
     return Rows(lines, [first + place for place in places])

@@ -228,7 +228,10 @@ _UPWARD = ("up", "upward", "upwards", "oben", "上", "朝上", "向上")
 _DOWNWARD = ("down", "downward", "downwards", "unten", "下", "朝下", "向下")
 _PLUS = ("+", "p", "pos", "plus", "positive")
 _MINUS = ("-", "n", "m", "neg", "minus", "negative")
-_WORDS = re.compile(r"[+-]|[^\W\d_]+")
+_IGNORED = ("axis", "face", "side", "轴")
+_SIGN_OF = dict.fromkeys(_PLUS + _UPWARD, 1.0) | dict.fromkeys(_MINUS + _DOWNWARD, -1.0)
+_KNOWN = sorted((*_SIGN_OF, *COMPONENTS, *_IGNORED), key=len, reverse=True)
+_WORDS = re.compile("|".join([*map(re.escape, _KNOWN), r"[^\W\d_]+"]))  # glued ones too, as in xup
 
 
 def parse_axis_up(text: str) -> Array | None:
@@ -237,30 +240,17 @@ def parse_axis_up(text: str) -> Array | None:
     An axis with a sign, a word for up or down, or both, in any order: ``-x up``, ``pos Z``,
     ``X_neg``, ``z 朝下``.
     """
-    plain = text.translate(_SIGNS).casefold()
-    plain = re.sub("[朝向]?[上下]|轴", r" \g<0> ", plain)
-    words = [word for word in _WORDS.findall(plain) if word not in ("axis", "face", "side", "轴")]
-    words = [part for word in words for part in _glued(word)]
+    found = _WORDS.findall(text.translate(_SIGNS).casefold())
+    words = [word for word in found if word not in _IGNORED]
     axes = [word for word in words if word in COMPONENTS]
     signs = [word for word in words if word in _PLUS + _MINUS]
     ways = [word for word in words if word in _UPWARD + _DOWNWARD]
     kinds = (len(axes), len(signs), len(ways))
     if kinds not in ((1, 1, 0), (1, 0, 1), (1, 1, 1)) or sum(kinds) != len(words):
         return None
-    turned = bool(signs and signs[0] in _MINUS), bool(ways and ways[0] in _DOWNWARD)
     up = np.zeros(3)
-    up[COMPONENTS.index(axes[0])] = -1.0 if turned[0] != turned[1] else 1.0
+    up[COMPONENTS.index(axes[0])] = math.prod(_SIGN_OF[word] for word in (*signs, *ways))
     return up
-
-
-def _glued(word: str) -> tuple[str, ...]:
-    """Return a word, or the axis and the word that it is glued from, as in xup or xneg."""
-    known = (*_UPWARD, *_DOWNWARD, *_PLUS, *_MINUS)
-    if len(word) > 1 and word[0] in COMPONENTS and word[1:] in known:
-        return word[0], word[1:]
-    if len(word) > 1 and word[-1] in COMPONENTS and word[:-1] in known:
-        return word[:-1], word[-1]
-    return (word,)
 
 
 def are_directions(cells: Sequence[str]) -> bool:

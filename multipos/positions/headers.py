@@ -39,10 +39,10 @@ _COMPONENT = re.compile(
     r"(.*?)[\s_.\-]*(?:([xyz])|\[([0-2])\])((?:_(?:cal|uncal|raw))?)", re.IGNORECASE
 )
 _ACCELERATION = re.compile(
-    r"(.* )?a|[a-z ]*acc([^a-z].*|el.*)?|[a-z ]*acceleration.*|acc([a-z]?raw|smooth)"
+    r"(.* )?ac?|[a-z ]*acc([^a-z].*|el.*)?|[a-z ]*acceleration.*|acc([a-z]?raw|smooth)"
 )
 _ELSEWHERE = re.compile(
-    r"(.* )?[gwmbh]|omega|[a-z ]*(gyr|mag|rate|rot|angular|velocity|field|gravity|orient|quat).*"
+    r"(.* )?[gwmbh]|omega|[a-z ]*(gyr?|mag|rate|rot|angular|velocity|field|gravity|orient|quat).*"
 )
 _MAGNETIC = re.compile(r"(.* )?m|[a-z ]*(mag|field|compass).*")
 _FOREIGN = packaged_pairs(__file__, "foreign_names.csv")

@@ -1032,6 +1032,7 @@ OF_ADVICE = {
 # What is not followed, and why.
 REASONS = {
     ("balance", ""): "a chamber is to be programmed; test_variation has one in balance",
+    ("commented-row", ""): "a label is to be written anew; test_as_people_write has one",
     ("frozen", ""): "a cable or a logger is to be mended; test_clocks has a log that froze",
     ("full-matrix", ""): "a note on what to do with a matrix; nothing about the data changes",
     ("magnetic", ""): "a note on what was assumed; --field states it",

@@ -600,7 +600,7 @@ def test_an_array_of_what_is_no_text_is_refused(order, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("[1, 2]", "sections need position, start, end"),
+        ("[1, 2]", "no column 'position', 'start', 'end'"),
         ("{", "not valid JSON"),
         ("{}", "no sections"),
         ('{"a": {"start": 5, "end": 5}}', "at least two rows after"),
