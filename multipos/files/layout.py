@@ -348,14 +348,10 @@ def _header(source: str, above: Sequence[Line], shape: _Shape) -> _Header:
             _refuse_open_quote(source, line)
             named = units or tuple(split_unit(name)[1] or "" for name in cells)
             found = _Header(cells, named, line.number, below or line.number + 1, comment)
-            if not any(map(_is_plain_number, cells)):
+            if not any(is_number(cell, ",") for cell in cells):
                 return found
             best = best or found
     return best or _Header(None, units or ("",) * shape.columns, 0, 1, False)
-
-
-def _is_plain_number(cell: str) -> bool:
-    return is_number(cell, ",")
 
 
 def _refuse_open_quote(source: str, line: Line) -> None:

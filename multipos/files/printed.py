@@ -30,7 +30,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from multipos.files.pipes import Unpacked, lines_of
-from multipos.files.written_units import unit_of
+from multipos.files.written_units import split_unit, unit_of
 from multipos.results import frozen
 
 DATE = re.compile(
@@ -360,13 +360,11 @@ def _names_of(record: Sequence[_Line]) -> list[str]:
         pairs += [(group, name or head) for group, name in _names_in(line, head)]
     counts = Counter(name for _, name in pairs)
     return [
-        f"{group}.{name}" if group and (counts[name] > 1 or _XYZ.fullmatch(_bare(name))) else name
+        f"{group}.{name}"
+        if group and (counts[name] > 1 or _XYZ.fullmatch(split_unit(name)[0]))
+        else name
         for group, name in pairs
     ]
-
-
-def _bare(name: str) -> str:
-    return name.partition(" [")[0]
 
 
 def _names_in(line: _Line, group: str) -> list[tuple[str, str]]:

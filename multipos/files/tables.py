@@ -392,6 +392,9 @@ def _filled(
         if trailing and record.cells[-1:] == [""]:
             record.cells.pop()
         if len(record.cells) != len(header):
+            where = (
+                f"line{'' if record.begin == record.end else f's {record.begin} to'} {record.end}"
+            )
             way = f"; give one cell per column, last column '{header[-1]}'"
             if _with_decimal_commas(record.cells, len(header)):
                 way = (
@@ -399,7 +402,7 @@ def _filled(
                     "cells, or with decimal points"
                 )
             raise MultiposError(
-                f"{path}: row {len(found) + 1} ({record.where}) has {len(record.cells)} cells "
+                f"{path}: row {len(found) + 1} ({where}) has {len(record.cells)} cells "
                 f"where the header names {len(header)}{way}."
             )
         found.append(record)
@@ -420,10 +423,6 @@ class _Record(NamedTuple):
     cells: list[str]
     begin: int
     end: int
-
-    @property
-    def where(self) -> str:
-        return f"line{'' if self.begin == self.end else f's {self.begin} to'} {self.end}"
 
 
 def _records(

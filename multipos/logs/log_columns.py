@@ -22,7 +22,7 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import listed, visible
 from multipos.files.written_units import MAGNETIC_UNITS, split_unit
-from multipos.finding import Finding, Findings
+from multipos.finding import Findings
 from multipos.logs.clock import time_columns
 from multipos.logs.table import Log
 from multipos.numerics.arrays import LARGEST_SAMPLE, Array, median
@@ -169,7 +169,7 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
         )
     others = [name for name in names if name not in idle]
     unused = headers.unused_columns((), idle)
-    return Outputs(chosen, (*unused, *_find_choice(chosen, others, by)))
+    return Outputs(chosen, (*unused, *headers.find_others(chosen, others, by)))
 
 
 def _seen(log: Log) -> str:
@@ -198,14 +198,6 @@ def _by_name(names: Sequence[str], kinds: dict[str, headers.NameParts]) -> tuple
         return tuple(named)
     whole = headers.triads_of(names, kinds) if len(names) == 3 else []
     return whole[0] if whole else tuple(names)
-
-
-def _find_choice(chosen: tuple[str, ...], names: Sequence[str], by: str) -> Sequence[Finding]:
-    others = headers.find_others(chosen, names, by)
-    if others or [name for name in names if name in chosen] == list(chosen):
-        return others
-    text = f"outputs are ordered {', '.join(chosen)}, by their names"
-    return [Finding("outputs-by-name", "note", text)]
 
 
 def magnetic_outputs(
