@@ -31,6 +31,7 @@ import numpy as np
 from multipos.errors import MultiposError
 
 _SHOWING = "multipos.reports.showing"
+_LONGEST = 500  # characters of a result in a list, or in the debugger
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -79,7 +80,8 @@ def _keep(self: Any, name: str) -> NoReturn:
 
 def _show(self: Any) -> str:
     shown = [f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if each.repr]
-    return f"{type(self).__qualname__}({', '.join(shown)})"
+    text = f"{type(self).__qualname__}({', '.join(shown)})"
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 2]}…)"
 
 
 def _compared(self: Any) -> tuple[object, ...]:

@@ -547,3 +547,10 @@ def test_readings_without_labels_are_those_that_a_file_numbers(tmp_path):
     named = mp.Readings(0.01 + up, up=up, positions=tuple("abcdef"))
     assert named != found.readings
     assert found.readings != named
+
+
+def test_a_long_result_is_short_in_a_list_and_a_parameter_is_one_line():
+    cal = mp.demo().calibration
+    assert len(repr(cal)) == 500
+    assert repr(cal).startswith("Calibration(version=")
+    assert str(cal["bias_ax"]) == "bias_ax = -0.00079(52) g, U = 0.0067, k = 12.71"

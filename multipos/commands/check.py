@@ -47,9 +47,7 @@ def _failed(found: Check, findings: Findings) -> bool:
 
 
 def _errors(
-    calibration: Calibration | Regression | Regressions,
-    arguments: argparse.Namespace,
-    found: Check,
+    calibration: Calibration | Regression | Regressions, arguments: argparse.Namespace, found: Check
 ) -> str:
     """Return the run's own columns, or the means of its log, with its errors beside, as CSV."""
     run, means = arguments.readings, None

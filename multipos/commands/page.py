@@ -36,9 +36,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         return Answer(text=lambda: said, json=lambda: to_json(listed))
     with open_server(make_site(arguments.pyodide), arguments.port) as server:
         address = f"http://{LOOPBACK}:{server.server_address[1]}/"
-        print_out(
-            [to_json({"address": address, "findings": ()}) if arguments.json else f"{address}\n"]
-        )
+        as_json = to_json({"address": address, "findings": ()})
+        print_out([as_json if arguments.json else f"{address}\n"])
         with _until_a_signal():
             server.serve_forever()
     return Answer(text=lambda: "", json=lambda: "")

@@ -42,10 +42,8 @@ def run(arguments: argparse.Namespace) -> Answer:
 def _scheme_file(arguments: argparse.Namespace) -> str:
     """Return the one scheme that was asked for as a scheme file, laid out in the order."""
     if len(arguments.schemes) != 1:
-        raise UsageError(
-            f"-o SCHEME.csv writes one scheme, but {len(arguments.schemes) or 'no'} are named; "
-            "name one."
-        )
+        named = len(arguments.schemes) or "none"
+        raise UsageError(f"-o SCHEME.csv writes one scheme, and {named} are named; name one.")
     return format_csv(lay_scheme(arguments.schemes[0], arguments.order).columns())
 
 

@@ -14,9 +14,7 @@ COMMANDS = listed("withdrawn commands")
 
 def instead_of_command(name: str) -> str | None:
     """Return one sentence on a command that was withdrawn, None where there was none."""
-    if name not in COMMANDS:
-        return None
-    return f"'{name}' was withdrawn: {COMMANDS[name]}."
+    return f"'{name}' was withdrawn: {COMMANDS[name]}." if name in COMMANDS else None
 
 
 def refuse_options(name: str, words: Sequence[str]) -> None:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
+from multipos.files.numbers import number, uncertain
 from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
@@ -123,6 +124,10 @@ class Parameter(NamedTuple):
     unit: Annotated[str, UNREAD]
     label: Annotated[str, UNREAD]
     symbol: Annotated[str | None, UNREAD]
+
+    def __str__(self) -> str:
+        value = f"{uncertain(self.value, self.u)} {self.unit}"
+        return f"{self.name} = {value}, U = {number(self.U, 2)}, k = {self.k:.2f}"
 
 
 _FIGURE = Maybe(ANY_NUMBER, math.nan)
