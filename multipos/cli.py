@@ -74,7 +74,7 @@ def _guarded(argv: list[str]) -> int:
         return _complain(error, 2)
     except MultiposError as error:
         return _complain(error, 1)
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         return _complain(_missing(error), 1)
     except MemoryError:
         return _complain("the data do not fit into memory; give fewer rows.", 1)
@@ -172,9 +172,11 @@ _PARTS = {
 }
 
 
-def _missing(error: ModuleNotFoundError) -> str:
-    """Return one line on a library that is not installed."""
+def _missing(error: ImportError) -> str:
+    """Return one line on a library that is not installed, or cannot be loaded."""
     name = (error.name or "").partition(".")[0]
+    if not isinstance(error, ModuleNotFoundError) and name != "multipos":
+        return f"a library cannot be loaded ({one_line(str(error))[:200]}); install it again."
     if name not in _PARTS:
         return _unforeseen(error)
     return f"{_PARTS[name]} needs {name}, which is not installed; pip install {name}."
