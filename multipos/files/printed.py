@@ -45,7 +45,6 @@ _LAST = 400  # lines that tell what is printed
 _FEW = 8  # lines that tell a table of numbers
 _NUMBERS = re.compile(r"[-+\d\s.,;:eETZ\"/]*")
 _MOST = 40  # lines of a record
-_LONG = 4000  # characters of a line that are looked at: the search takes their square
 COMMENTS = ("#", "//", "%")
 _OFTEN = 0.8  # of the lines with numbers, that have one of the forms
 _TOGETHER = 1 << 16  # lines that are written at a time
@@ -274,7 +273,7 @@ def _is_printed(line: _Line) -> bool:
     """Tell whether a line is none of a table: a cell of it has a word or bracket and a number."""
     if _ESPIDF.match(line.form) or line.form.startswith(">"):
         return bool(line.cells)
-    bare = re.sub(r"[\"']", "", line.form[:_LONG])
+    bare = re.sub(r"[\"']", "", line.form[:4000])  # the search takes their square
     if re.search(rf"[>|]|{_MARK}\*$", bare):
         return bool(line.cells)
     if re.search(rf"[^\W#][^,;#]*[:=]\s*[(\[{{]*{_MARK}|[(\[{{<]{_MARK}|{_MARK}[^\W#_]", bare):

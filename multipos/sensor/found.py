@@ -126,8 +126,7 @@ class Parameter(NamedTuple):
     symbol: Annotated[str | None, UNREAD]
 
     def __str__(self) -> str:
-        value = f"{uncertain(self.value, self.u)} {self.unit}"
-        return f"{self.name} = {value}, U = {number(self.U, 2)}, k = {self.k:.2f}"
+        return f"{self.name} = {uncertain(self.value, self.u)} {self.unit}, U = {number(self.U, 2)}"
 
 
 _FIGURE = Maybe(ANY_NUMBER, math.nan)
