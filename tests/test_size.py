@@ -15,13 +15,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "multipos"
 
-ALL, TESTS = 51_314, 46_742
+ALL, TESTS = 51_314, 46_734
 
 # By room; what stands beside the rooms counts with the commands.
 CEILINGS = {
     "bias_stability": 1168,
     "capturing": 2396,
-    "commands": 2162,
+    "commands": 2159,
     "compensation": 781,
     "designs": 1734,
     "diagnostics": 4060,
@@ -37,7 +37,7 @@ CEILINGS = {
     "positions": 2358,
     "regression": 2203,
     "reports": 2687,
-    "sensor": 3732,
+    "sensor": 3735,
     "uncertainty": 1762,
     "verification": 2495,
 }
