@@ -6,9 +6,8 @@ gives lines one end.
 
 A cell that is a Python string takes ten times the memory of its characters, and most cells of a
 long table are numbers of a column that is asked for once, or of one that nobody uses. So the bytes
-stay as they were read, or in their file, and a column is split out of them in pieces of some
-megabytes. This serves plain text, in which every line is a row and has all its cells; quotes are
-for the `csv` module.
+stay as they were read, and a column is split out of them in pieces of some megabytes. This serves
+plain text, in which every line is a row and has all its cells; quotes are for the `csv` module.
 """
 
 import io
@@ -16,63 +15,23 @@ from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import repeat
 from operator import itemgetter, methodcaller
-from pathlib import Path
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.errors import MultiposError
 from multipos.files.printed import COMMENTS, is_comment, is_row
-from multipos.files.spelling import StrPath
-from multipos.files.whole import reading
 from multipos.numerics.arrays import Array, Places
 
 Column = Sequence[Any] | NDArray[Any]  # of a table
 
 _PIECE = 1 << 22  # bytes
-_LINE = 1 << 16  # bytes in which the end of a line is looked for at a time
+_LINE = 1 << 16  # bytes in which a mark of the byte order is looked for
 _TOGETHER = 1 << 16  # rows that are arranged in a piece
 _WIDE = 100  # columns, from which on
 _SHORT = 1 << 26  # fewer bytes are taken apart once: each column by itself would split all the text
 
 
-class FileBytes:
-    """The bytes of a file, which stay there: a slice is read when it is asked for."""
-
-    def __init__(self, path: StrPath, what: str) -> None:
-        """Name a file, and what it is in messages."""
-        self._path, self._what = path, what
-        with reading(path, what):
-            self._state = self._state_now()
-
-    def __len__(self) -> int:
-        return self._state[0]
-
-    def __getitem__(self, part: slice) -> bytes:
-        with reading(self._path, self._what), Path(self._path).open("rb") as stream:
-            stream.seek(part.start)
-            found = stream.read(part.stop - part.start)
-            if self._state_now() != self._state:  # its rows would no longer be those that were seen
-                raise MultiposError(
-                    f"{self._path}: the file has changed while it was read; run again when it is "
-                    "written."
-                )
-        return found
-
-    def sha256(self) -> str:
-        """Return the SHA-256 of all of them."""
-        import hashlib  # slow to import, and a log has no need of it
-
-        with reading(self._path, self._what), Path(self._path).open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-
-    def _state_now(self) -> tuple[int, int]:
-        found = Path(self._path).stat()
-        return found.st_size, found.st_mtime_ns
-
-
-Raw = bytes | FileBytes
 Lines = Sequence[int] | NDArray[np.int64]  # of the file, counted from 1
 
 
@@ -109,10 +68,10 @@ class Cells(Sequence[str]):
     """
 
     def __init__(
-        self, raw: Raw, pieces: Sequence[_Piece], rows: int, place: int, mark: str
+        self, raw: bytes, pieces: Sequence[_Piece], rows: int, place: int, mark: str
     ) -> None:
         """Name the rows of some pieces."""
-        self.raw: Raw = raw
+        self.raw: bytes = raw
         self.pieces: Sequence[_Piece] = pieces
         self.place: int = place
         self.mark: str = mark
@@ -173,7 +132,7 @@ def joined_cells(columns: Sequence[Column]) -> Cells | None:
     parts: list[bytes] = []
     marks: set[tuple[int, str]] = set()
     for column in columns:
-        if not isinstance(column, Cells) or not isinstance(column.raw, bytes):
+        if not isinstance(column, Cells):
             return None
         pieces = column.pieces
         if len(pieces) > 1:
@@ -210,7 +169,7 @@ def _joined_lines(lines: NDArray[np.object_]) -> bytes:
     return "".join(f"{line}\n" for line in lines.tolist()).encode()
 
 
-def read_plain(raw: Raw) -> Plain | None:
+def read_plain(raw: bytes) -> Plain | None:
     """Return the columns of a table in UTF-8; None where it is not as plain as that.
 
     Blank lines and comments are no rows.
@@ -226,20 +185,15 @@ def read_plain(raw: Raw) -> Plain | None:
     return found.plain() if found.rows and not found.wide else None
 
 
-def _line_end(raw: Raw, place: int) -> int:
+def _line_end(raw: bytes, place: int) -> int:
     """Return where the line ends that goes on at a place."""
-    while place < len(raw):
-        end = raw[place : place + _LINE].find(b"\n") + 1
-        if end:
-            return place + end
-        place += _LINE
-    return len(raw)
+    return raw.find(b"\n", place) + 1 or len(raw)
 
 
 class _Pieces:
     """Take up the text piece by piece: its header, and where the rows are."""
 
-    def __init__(self, raw: Raw) -> None:
+    def __init__(self, raw: bytes) -> None:
         self._raw = raw
         self._header: list[str] = []
         self._mark, self._line = ",", 1
@@ -305,7 +259,7 @@ def _text(raw: bytes) -> str:
     return unix_lines(raw).decode("utf-8")
 
 
-def _rows_of(raw: Raw, piece: _Piece) -> list[str]:
+def _rows_of(raw: bytes, piece: _Piece) -> list[str]:
     return rows_of_text(_text(raw[piece.start : piece.end]))[0]
 
 

@@ -40,11 +40,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.csv_columns import FileBytes
 from multipos.files.pipes import GZIP, Unpacked, text_of
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json_value
-from multipos.files.whole import first_bytes, read_bytes, reading
+from multipos.files.whole import first_bytes, read_bytes, reading, sha256_of
 
 ZIP = b"PK\x03\x04"
 WORKBOOK = "xl/workbook.xml"  # the ending of a name in an archive that is one
@@ -302,7 +301,7 @@ def content_of(source: object) -> str | None:
         if not Path(source).is_file():
             return None
     held = unpack(source) if is_packed(first_bytes(source, len(XZ))) else source
-    return FileBytes(held, "file").sha256()
+    return sha256_of(held, "file")
 
 
 def find_copies(contents: Sequence[str | None], named: Sequence[str]) -> dict[int, str]:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files import handed, spelling, whole
-from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, Raw, read_plain
+from multipos.files.csv_columns import Cells, Lines, Plain, read_plain
 from multipos.files.csv_columns import Column as Column
 from multipos.files.layout import find_layout, units_in
 from multipos.files.marks import cleaned_columns, may_have_marks, number_in
@@ -38,7 +38,6 @@ _FINITE = float(np.finfo(np.float64).max)
 _BINARY = 4096  # bytes, in which no text has a NUL
 _HEAD = 1000  # lines that tell how a table is laid out
 _FEW = 1000  # rows, up to which cells are written one by one
-SHORT = 1 << 14  # bytes: a shorter file is read once, as opening it takes longer than reading
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
 Source = StrPath | Mapping[str, Any] | Any  # see `multipos.files.handed`
 
@@ -242,46 +241,36 @@ def _array(column: Any, name: Any, what: str) -> NDArray[Any]:
     return found
 
 
-def open_table(path: StrPath, *, what: str = "table", head: bytes = b"") -> Table:
-    """Return a CSV file as a table whose cells stay in it, if it has no quotes.
-
-    A file that is shorter than `SHORT` is kept as it was read; `head` is how it begins.
-    """
-    if 0 < len(head) < SHORT:
-        plain, sha256 = _plain(head), _sha256(head)
-    else:
-        raw = FileBytes(path, what)
-        plain, sha256 = _plain(raw), raw.sha256()
-    return _read_csv(path, what) if plain is None else _plain_table(path, plain, sha256)
+def open_table(path: StrPath, what: str) -> Table:
+    """Return the table of a file; the cells of text without quotes stay in it, however short."""
+    return _read_file(path, what, in_text=True)
 
 
-def _read_file(path: StrPath, what: str) -> Table:
+def _read_file(path: StrPath, what: str, *, in_text: bool = False) -> Table:
     if not isinstance(path, Pipe) and is_pipe(path):
         path = rereadable(path)
     with whole.reading(path, what), Path(path).open("rb") as stream:
         head = stream.read(1 << 10)
+        is_text = not (handed.is_packed(head) or handed.is_json(head))
+        if is_text and not head.startswith(handed.ARROW):
+            stream.seek(0)
+            return _read_csv(path, stream.read(), what, in_text=in_text)
     if handed.is_packed(head):  # what people compare is the file that they have
-        sha256 = _sha256(whole.read_bytes(path, what))
-        table = _read_file(handed.unpack(path), what)
+        table = _read_file(handed.unpack(path), what, in_text=in_text)
+        sha256 = whole.sha256_of(path, what)
         return replace(table, sha256=sha256, content=table.sha256)
-    if not head.startswith(handed.ARROW) and not handed.is_json(head):
-        return _read_csv(path, what)
     columns = (
         handed.read_json_columns(path, what) if handed.is_json(head) else handed.read_arrow(path)
     )
-    sha256 = _sha256(whole.read_bytes(path, what))
+    sha256 = whole.sha256_of(path, what)
     return replace(_of_columns(columns, str(path)), sha256=sha256)
 
 
-def _sha256(raw: bytes) -> str:
+def _read_csv(path: StrPath, raw: bytes, what: str, *, in_text: bool) -> Table:
     import hashlib  # slow to import, and a log has no need of it
 
-    return hashlib.sha256(raw).hexdigest()
-
-
-def _read_csv(path: StrPath, what: str) -> Table:
-    raw, said = whole.read_bytes(path, what), ""
-    sha256 = _sha256(raw)
+    said = ""
+    sha256 = hashlib.sha256(raw).hexdigest()
     if raw.startswith((handed.ZIP, handed.OLE)):
         names = handed.members(path)
         if names and not any(name.endswith(handed.WORKBOOK) for name in names):
@@ -297,12 +286,12 @@ def _read_csv(path: StrPath, what: str) -> Table:
     if plain is None:
         return _read_cells(path, raw, sha256, what, said)
     table = replace(_plain_table(path, plain, sha256), read_as=said)
-    if len(raw) > _LONG:
+    if in_text or len(raw) > _LONG:
         return table
     return replace(table, columns={name: [*cells] for name, cells in table.columns.items()})
 
 
-def _plain(raw: Raw) -> Plain | None:
+def _plain(raw: bytes) -> Plain | None:
     """Return columns that stay in their text; None where cells have to be looked at."""
     plain = read_plain(raw)
     if plain is None or len(plain.header) < 2 or not plain.header[-1] or plain.comments:

@@ -1,9 +1,9 @@
 """Files read whole, and written whole or not at all, several together.
 
-`read_bytes` and `first_bytes` read; `written` has several files ready and in their places when its
-block has ended well, `write_text` one; `reading` and `writing` say in one line why a file cannot be
-read or written, `check_place`, `make_folder` and `no_folder` why it could not be; `now` is the time
-that results carry.
+`read_bytes`, `first_bytes` and `sha256_of` read; `written` has several files ready and in their
+places when its block has ended well, `write_text` one; `reading` and `writing` say in one line why
+a file cannot be read or written, `check_place`, `make_folder` and `no_folder` why it could not be;
+`now` is the time that results carry.
 """
 
 import os
@@ -26,6 +26,14 @@ def read_bytes(path: StrPath, what: str) -> bytes:
     """Return the content of a file, or say in one line why it cannot be read."""
     with reading(path, what):
         return Path(path).read_bytes()
+
+
+def sha256_of(path: StrPath, what: str) -> str:
+    """Return the SHA-256 of the content of a file."""
+    import hashlib  # slow to import, and a log has no need of it
+
+    with reading(path, what), Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def first_bytes(path: StrPath, count: int) -> bytes:

@@ -42,7 +42,7 @@ from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps
 from multipos.numerics.losses import Loss
 from multipos.numerics.terms import ModelText, formula_columns, largest_value
 from multipos.positions import orientations
-from multipos.positions.attitudes import CONVENTIONS, Convention
+from multipos.positions.attitudes import CONVENTIONS, AngleZero, Convention
 from multipos.positions.order import Order
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, select_rows, spread_reading_sd
@@ -100,6 +100,7 @@ def fit(
     level_sd: float = 0.0,
     budget: BudgetSource | Budget | None = None,
     unit: str | None = None,
+    angle_zero: AngleZero = "up",
     range: Sequence[float] | None = None,
     nominal: Sequence[float] | None = None,
     confidence: float = 0.95,
@@ -163,6 +164,8 @@ def fit(
         What is known of the measurement beside the readings (`multipos.uncertainty.budgets`).
     unit : str, optional
         Unit of the readings.
+    angle_zero : str
+        'up' or 'level': how an output stands at `angle_deg` 0.
     range : (low, high), optional
         Readings outside these limits are an error.
     nominal : (bias, scale), optional
@@ -216,7 +219,14 @@ def fit(
     check_field_kind(field)
     written = read_model(model)
     used = _columns_named(written)
-    data = read_readings(readings, outputs=outputs, unit=unit, environment=used, field=field)
+    data = read_readings(
+        readings,
+        outputs=outputs,
+        unit=unit,
+        environment=used,
+        field=field,
+        angle_zero=angle_zero,
+    )
     sensed, free = bench.field_of(data.outputs, data.unit, local), unknown_orientation
     if sensed.towards == "field":
         data, free = _magnetic(data, sensed, options, field, scheme)

@@ -24,11 +24,11 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files import handed, spelling
-from multipos.files.csv_columns import FileBytes, joined_cells
+from multipos.files.csv_columns import joined_cells
 from multipos.files.pipes import Pipe, is_folder, is_pipe, is_there, rereadable
 from multipos.files.spelling import StrPath
-from multipos.files.tables import SHORT, Source, Table, open_table, read_table
-from multipos.files.whole import first_bytes
+from multipos.files.tables import Source, Table, open_table, read_table
+from multipos.files.whole import sha256_of
 from multipos.files.written_units import split_unit
 from multipos.finding import Findings, repeated_files
 from multipos.fitting.calibrate_logs import rests_or_rows
@@ -382,7 +382,7 @@ def _averaged(source: Source, options: Mapping[str, Any]) -> Table | MultiposErr
     table = read_table(columns, what="log")
     if not _is_path(source):
         return table
-    sha256 = FileBytes(source, "log").sha256()
+    sha256 = sha256_of(source, "log")
     return replace(table, source=str(source), sha256=sha256, content=handed.content_of(source))
 
 
@@ -439,13 +439,4 @@ def _read(source: Source) -> Table:
         return read_table(source, what="table")
     if is_pipe(source) and not isinstance(source, Pipe):
         raise MultiposError(f"{source}: a pipe or a device; only files of a folder are read.")
-    path, head = source, first_bytes(source, SHORT)
-    if handed.is_packed(head):
-        path = handed.unpack(source)
-        head = first_bytes(path, SHORT)
-    whole = head.startswith(handed.ARROW) or handed.is_json(head[: 1 << 10])
-    table = read_table(path) if whole else open_table(path, head=head)
-    if path is not source:  # what people compare is the file that they have
-        sha256 = FileBytes(source, "table").sha256()
-        table = replace(table, sha256=sha256, content=table.sha256)
-    return table
+    return open_table(source, "table")

@@ -36,6 +36,7 @@ from multipos.numerics.arrays import COMPONENTS, Array, Mask, as_numbers
 from multipos.units import cos_deg, sin_deg
 
 Convention = Literal["specific-force", "gravity"]  # which sign the axis that points up has
+AngleZero = Literal["up", "level"]  # where the axis that is read stands at angle 0
 CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
 
 _SIGNS = str.maketrans("−–＋－", "--+-")

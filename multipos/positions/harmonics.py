@@ -1,8 +1,9 @@
 """Rolls and their harmonics: the Fourier view of a signal against the angle of a turn.
 
-`find_rolls` finds the rolls among readings; `series` and `residual_series` give their harmonics, up
-to the `highest_order` that their angles distinguish, `transform` those of one roll,
-`beyond_chance` and `strange_harmonics` what stands out among them.
+`find_rolls` finds the rolls among readings, `find_level_zero` angles that begin level; `series` and
+`residual_series` give their harmonics, up to the `highest_order` that their angles distinguish,
+`transform` and `power` those of one roll, `beyond_chance` and `strange_harmonics` what stands out
+among them.
 
 A roll is a set of positions with one case axis horizontal; its angle t runs from the first of the
 two other axes to the second, so that up = (cos t, sin t) on them. A signal at N angles is
@@ -30,12 +31,14 @@ from multipos.files.numbers import p_in_words
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.quantiles import f_tail
+from multipos.positions.headers import named_axes
 from multipos.positions.readings import Readings
 from multipos.results import Result, frozen
 
 _SAME = 1e-9  # [rad or g], below which two angles are one and a component is zero
 _HIGHEST_UNEVEN = 24
 _SIGNIFICANT = 0.01  # chance that a clean roll has a residual harmonic named
+_LITTLE = 0.2  # of the response across, of an output that does not follow its own axis
 _APART = 10.0  # condition up to which unevenly spaced cosines and sines are distinguished
 
 
@@ -166,6 +169,24 @@ def find_rolls(readings: Readings, first: str = "x", sign: float = 1.0) -> tuple
         if len(roll.distinct) >= 3:
             found.append(roll)
     return tuple(found)
+
+
+def find_level_zero(readings: Readings) -> list[Finding]:
+    """Say where outputs follow the sine of a roll's angle, which is then counted from level."""
+    slopes = []
+    for roll in find_rolls(readings):
+        up = np.asarray(readings.up)[roll.rows]
+        for values, axis in zip(
+            readings.values[roll.rows].T, named_axes(readings.outputs), strict=True
+        ):
+            if COMPONENTS[axis] in roll.plane:
+                across = COMPONENTS.index(roll.plane.replace(COMPONENTS[axis], ""))
+                columns = np.column_stack([np.ones(len(up)), up[:, axis], up[:, across]])
+                slopes.append(np.linalg.lstsq(columns, values)[0][1:].tolist())
+    if not slopes or any(abs(own) > _LITTLE * other for own, other in slopes):
+        return []
+    text = "readings follow the sine of the angle, as where it is counted from level"
+    return [Finding("table", "warning", text, "Add --angle-zero level.")]
 
 
 def _horizontal(readings: Readings, level: Mask) -> Places:

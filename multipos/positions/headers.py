@@ -4,7 +4,8 @@
 `named_axes` find axes among several, `is_beside`, `is_environment`, `is_without_gravity` and
 `idle_columns` what is no output, `field_of_outputs` which field is sensed.
 `plain_names`, `under_names` and `find_column` match columns with names; `with_first_named`,
-`with_direction`, `with_angle` and `in_plane` give a table the columns that its own stand for.
+`with_direction`, `with_angle`, `from_level` and `in_plane` give a table the columns that its own
+stand for.
 `unit_as_known`, `unit_of_outputs`, `in_celsius` and `require_units` keep units consistent,
 `unused_columns` and `find_others` say what is left out, which `refuse_text` refuses of some.
 
@@ -301,6 +302,14 @@ def with_angle(table: Table) -> Table:
     if "angle" not in folded or any(name in table for name in stated):
         return table
     return table.renamed({folded["angle"]: "angle_deg"})
+
+
+def from_level(table: Table) -> Table:
+    """Return a table whose angles, counted from level, are counted from up."""
+    if "angle_deg" not in table:
+        raise UsageError(f"{table.source}: --angle-zero is of tables with a column angle_deg.")
+    angles = 90.0 - table.number("angle_deg", empty=True)
+    return replace(table, columns={**table.columns, "angle_deg": angles})
 
 
 def in_plane(table: Table, outputs: Sequence[str]) -> tuple[Table, tuple[str, ...]]:

@@ -10,17 +10,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, listed, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.files.written_units import MAGNETIC_UNITS, PER_G
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.positions import attitudes, forces, headers
+from multipos.positions.harmonics import find_level_zero
 from multipos.positions.open_rolls import read_open_rolls, with_angles
 from multipos.positions.readings import Readings, select_outputs
 
@@ -32,6 +33,7 @@ def read_readings(
     unit: str | None = None,
     environment: Sequence[str] = (),
     field: str | None = None,
+    angle_zero: attitudes.AngleZero = "up",
 ) -> Readings:
     """Return readings from whatever `multipos.read_table` takes.
 
@@ -48,6 +50,8 @@ def read_readings(
     field : str, optional
         'gravity' or 'magnetic': which sensor's columns are the outputs where there are several,
         and what orientation columns are of; otherwise by names and unit.
+    angle_zero : str
+        'up' or 'level': how an output stands at `angle_deg` 0.
 
     Returns
     -------
@@ -58,6 +62,8 @@ def read_readings(
     MultiposError
         A file that is missing, empty, ragged or holds a bad cell, which is named by file, row
         and column; an output that is not there.
+    UsageError
+        `angle_zero` is another word, or of a table without angles.
 
     Examples
     --------
@@ -75,6 +81,9 @@ def read_readings(
         return _named_otherwise(source, names, unit, environment)
     table, units = headers.plain_names(read_table(source, what="readings", outputs=names))
     table = headers.with_angle(headers.with_direction(headers.with_first_named(table)))
+    if angle_zero not in get_args(attitudes.AngleZero):
+        raise UsageError(f"--angle-zero takes up or level, got '{angle_zero}'.")
+    table = headers.from_level(table) if angle_zero == "level" else table
     _refuse_pairs(table)
     findings = [] if not table.read_as else [Finding("log-source", "note", table.read_as)]
     findings += _commented(table)
@@ -93,7 +102,7 @@ def read_readings(
     rolls = read_open_rolls(free, findings)
     oriented, force, reference_u = _where_it_stood(free, units, spread, rolls, findings)
     columns = _environment(table, names, environment, findings)
-    return Readings(
+    found = Readings(
         values=np.column_stack([table.number(name, largest=LARGEST) for name in names]),
         outputs=names,
         positions=table.text("position") if "position" in table else None,
@@ -115,6 +124,9 @@ def read_readings(
         open_roll=rolls,
         plane=plane,
     )
+    if angle_zero == "level" or "angle_deg" not in table:
+        return found
+    return replace(found, findings=(*found.findings, *find_level_zero(found)))
 
 
 def _commented(table: Table) -> list[Finding]:
@@ -314,9 +326,9 @@ def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tu
     beside = frozenset(_averaged_along(numeric, table))  # as `average` writes them: no word
     kinds = {name: headers.component(name) for name in candidates}
     left = tuple(name for name in numeric if name not in beside)
-    idle = headers.idle_columns(left, kinds, partial(map, table.numbers))
-    left = tuple(name for name in left if name not in idle)
     chosen = _of_acceleration(left, kinds)
+    idle = headers.idle_columns(chosen, kinds, partial(map, table.numbers))
+    chosen, left = (tuple(n for n in names if n not in idle) for names in (chosen, left))
     headers.refuse_text(table.source, chosen, text, kinds)
     texts = (f"column '{name}' holds text and is not used" for name in text)
     findings += headers.unused_columns(texts, idle)

@@ -33,7 +33,7 @@ from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import takes_options
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Formula, ModelText
-from multipos.positions.attitudes import Convention
+from multipos.positions.attitudes import AngleZero, Convention
 from multipos.positions.harmonics import (
     Harmonic,
     Roll,
@@ -368,6 +368,7 @@ def tumble(
     convention: Convention = "specific-force",
     reading_sd: ArrayLike | None = None,
     unit: str | None = None,
+    angle_zero: AngleZero = "up",
     **stated: Unpack[BenchOptions],
 ) -> Tumble | Tumbles:
     """Calibrate accelerometers from rolls in gravity, and from known forces beside them.
@@ -381,8 +382,8 @@ def tumble(
     axes : names, optional
         The input axis i of each, p and o following in cyclic order: x of one output, else x, y, z;
         -x faces the other way.
-    scheme, convention, reading_sd, unit, gravity, gravity_u, latitude, height, field, field_size
-    field_size_u, range, confidence
+    scheme, convention, reading_sd, unit, angle_zero, gravity, gravity_u, latitude, height, field
+    field_size, field_size_u, range, confidence
         As in `multipos.fit`.
     model : str, optional
         Eq. (1) of `multipos.verification.coefficients` less what the points cannot separate, and
@@ -415,7 +416,9 @@ def tumble(
     >>> print(f"K0 {1e3 * K0.value:.3f} mg, U {1e3 * K0.U:.3f} mg")
     K0 4.807 mg, U 0.001 mg
     """
-    data = orient(read_readings(readings, outputs=outputs, unit=unit), scheme)
+    data = orient(
+        read_readings(readings, outputs=outputs, unit=unit, angle_zero=angle_zero), scheme
+    )
     refuse_open_rolls(data)
     if field_sensed(data.outputs, data.unit, stated.get("field")).angle != "tilt":
         raise UsageError(

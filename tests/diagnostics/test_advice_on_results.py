@@ -1038,6 +1038,7 @@ REASONS = {
     ("magnetic", ""): "a note on what was assumed; --field states it",
     ("no-dof", ""): "where nothing is left, no-redundancy says so first, and is followed",
     ("run-unused", ""): "another fit is to be chosen; test_run_zeros has the one that takes runs",
+    ("table", "Add --angle-zero"): "another count of angles; test_headers has the table",
     (
         "table",
         "State the bench",

@@ -23,7 +23,6 @@ from multipos.errors import MultiposError
 from multipos.files import tables
 from multipos.files.csv_columns import arrange_cells
 from multipos.fleets import folder
-from multipos.fleets.sources import read_rows
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 KNOWN = {"orientation_sd": 0, "exclude": "none"}  # least squares of the listed orientations
@@ -171,17 +170,6 @@ def test_packed_tables_are_read_as_what_is_in_them(tmp_path):
     assert "1.csv.gz: cannot unpack" in told[-1]
 
 
-def test_a_file_that_changes_while_it_is_read_is_refused(tmp_path, monkeypatch):
-    lots = write(tmp_path / "lots", line(12, scheme="faces-corners-14"), "csv")
-    monkeypatch.setattr(tables, "SHORT", 100)
-    monkeypatch.setattr("multipos.fleets.sources.SHORT", 100)
-    rows, _ = read_rows([lots], "unit", "station")
-    with (lots / "0.csv").open("a") as stream:
-        stream.write("\n")
-    with pytest.raises(MultiposError, match=r"0\.csv: the file has changed while it was read"):
-        rows.numbers("ax")
-
-
 def test_a_damaged_parquet_file_is_named(tmp_path):
     lots = write(tmp_path / "lots", line(30, scheme="faces-corners-14"), "parquet")
     path, parquet = lots / "0.parquet", pytest.importorskip("pyarrow.parquet")
@@ -208,7 +196,7 @@ def test_cells_are_arranged_as_lists_are(tmp_path_factory, rows, piece, seed, en
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(columns, "_PIECE", piece)
         patch.setattr(columns, "_TOGETHER", 4)
-        table = tables.open_table(folder / "t.csv")
+        table = tables.open_table(folder / "t.csv", "table")
         order = rng.permutation(rows)[: max(1, rows // 2)]
         arranged = arrange_cells(table.columns, order)
     assert table.number("c").tolist() == [i + 0.5 for i in range(rows)]

@@ -28,7 +28,7 @@ from multipos.logs.common_noise import _alike, _are_usual
 from multipos.logs.ellipsoids import off_the_ellipsoid
 from multipos.logs.faults import find_stuck, find_wrapped
 from multipos.logs.log_columns import _variation
-from multipos.logs.matching import _from_lines, _match_rows
+from multipos.logs.matching import _match_rows
 from multipos.logs.rest_means import (
     RestMean,
     _allan_line,
@@ -48,7 +48,7 @@ from multipos.logs.rests import (
     is_long,
     long_enough,
 )
-from multipos.logs.samples import Samples, Store, Timing, _turns, good_rows, rows_in_log
+from multipos.logs.samples import Samples, Store, Timing, good_rows, rows_in_log
 from multipos.logs.still import _find_spikes, would_take
 from multipos.logs.text_logs import _decode, open_lines
 from multipos.logs.waved import find_cut_off
@@ -88,18 +88,6 @@ def test_times_without_a_date_are_seconds_since_midnight():
 
 def test_an_hour_behind_a_date_may_have_one_digit():
     assert_allclose(np.diff(read_dates(["1/2/2026 9:04", "2026-01-02 10:05"])), [3660.0])
-
-
-def test_a_column_that_begins_again_has_so_many_turns():
-    cells = np.array(["a", "b", "c"] * 32)
-    assert _turns(cells) == 3
-    assert _turns(cells[:-1]) == 0  # fewer than 32 rounds
-    assert _turns(np.array(["a", "a", "b"] * 40)) == 0
-    lost = np.array(["a", "b", "c"] * 60)
-    lost[[30, 90]] = "x"  # four of 177 pairs
-    assert _turns(lost) == 0
-    lost[90] = "a"
-    assert _turns(lost) == 3
 
 
 # --- rests
@@ -282,18 +270,6 @@ def test_how_far_rests_are_from_known_positions():
     level = SimpleNamespace(up=np.array([[0.0, 0.3, 0.9], [0.0, -0.19, 0.9], [0.0, 0.1, 0.9]]))
     near = _match_rows(np.array([[1.0], [5.0], [2.0]]), (1,), [0, 1, 2], level, "force")
     assert near.distance_deg.tolist() == [0.0, 0.0, 0.0]  # .49 g is too little
-
-
-def test_lines_from_positions_to_means():
-    targets = np.array([[0.9, 0.1], [-0.6, 0.2], [0.2, -0.1], [0.5, 0.0]])
-    means = targets * [2.0, 3.0] + [0.3, 0.4] + 0.01 * np.arange(8.0).reshape(4, 2)
-    bias, scale = _from_lines(means, targets, np.array([7.0, 1.7]))
-    slope, start = np.polyfit(targets[:, 0], means[:, 0], 1)
-    assert_allclose((bias[0], scale[0]), (start, slope))
-    assert scale[1] == 1.7  # .3 g is too little to show it
-    assert bias[1] == pytest.approx(means[:, 1].mean() - 1.7 * targets[:, 1].mean())
-    turned = _from_lines(means * [-1.0, 1.0], targets, np.array([7.0, 1.7]))
-    assert turned[1][0] == 7.0
 
 
 @pytest.mark.parametrize(("by", "together"), [(0.97, True), (1.03, False)])
@@ -713,24 +689,6 @@ def test_faults_of_an_output_in_a_rest(given, codes, monkeypatch):
         assert faults._output_faults("a", 1, each, 0.0, 0.2) == []
     if codes == ["quantized"]:
         assert [f.code for f in faults._output_faults("a", 1, each, 0.25, 0.0)] == ["stuck"]
-
-
-@pytest.mark.parametrize(("off", "named"), [(0.99, True), (1.01, False)])
-def test_rests_within_two_degrees_are_named(off, named):
-    """Of half the widest range, 1.5 here; the same label is a repeat that was meant."""
-    near = off * math.radians(2.0) * 1.5
-    means = [[1.5, 0.2, 0.1], [-1.5, 0.3, 0.4], [1.5, 0.2, 0.1 - near], [0.2, -0.6, 0.9]]
-    found = faults._twins([mean_of(mean=np.array(m)) for m in means], ["A", "B", "C", "D"])
-    assert bool(found) is named
-    if named:
-        assert "of each other: A and C; such" in found[0].text
-    same = faults._twins([mean_of(mean=np.array(m)) for m in means], ["A", "B", "A", "D"])
-    assert same == []
-    two = [mean_of(mean=np.array(m[:2])) for m in means]
-    assert faults._twins(two, "ABCD") == []
-    many = [mean_of(mean=np.array(m)) for m in [*[means[0]] * 5, means[1]]]
-    assert "and 7 more pairs; such" in faults._twins(many, "abcdef")[0].text
-    assert faults._twins(many[:2], "ab") == []
 
 
 @pytest.mark.parametrize(

@@ -80,3 +80,29 @@ def test_such_a_column_serves_a_model_that_names_it():
     found = mp.fit(HEADED | LISTED | {"temp (K)": values}, model="1 + x + y + z + temp")
     assert_allclose(found.readings.environment["temp"], values - 273.15)
     assert not any("no output" in text for text in texts(found))
+
+
+@pytest.mark.parametrize("ask", [mp.fit, mp.tumble])
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_angles_that_begin_level_are_said_and_taken(ask, outputs):
+    t = np.arange(0.0, 360.0, 30.0)
+    own, across = np.sin(np.radians(t)), np.cos(np.radians(t))
+    noise = np.random.default_rng(4).normal(0.0, 1e-4, (2, 12))
+    volts = {"Ex": 0.1 + 2.5 * own + noise[0], "Ey": 0.2 + 2.4 * across + noise[1]}
+    data = {"angle": t, **dict([*volts.items()][:outputs])}
+    options = {"orientation_sd": 0} if ask is mp.fit else {}
+    with pytest.warns(mp.CalibrationWarning, match="follow the sine of the angle"):
+        ask(data, unit="V", **options)
+    level = mp.fit(data, unit="V", angle_zero="level", orientation_sd=0)
+    turned = mp.fit(data | {"angle": 90.0 - t}, unit="V", orientation_sd=0)
+    np.testing.assert_array_equal(level.parameters, turned.parameters)
+    assert level["scale_Ex"].value == pytest.approx(2.5, rel=1e-3)
+    assert not [each for each in level.findings if each.level != "note"]
+
+
+def test_where_an_angle_begins_is_up_or_level_and_of_angles():
+    faces = {"face": ["+x", "-x"], "ax": [1.0, -1.0]}
+    with pytest.raises(mp.UsageError, match="takes up or level, got 'down'"):
+        mp.read_readings(faces, angle_zero="down")
+    with pytest.raises(mp.UsageError, match="of tables with a column angle_deg"):
+        mp.read_readings(faces, angle_zero="level")
