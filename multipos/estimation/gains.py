@@ -2,8 +2,7 @@
 
 `estimator_gain` is G of eqs. (1) and (2), `uncertain_gain` that of uncertain orientations and
 `gravity_effect` eq. (3). `restate` returns the problem of a calibration, `return_to_optimum` its
-optimum, and `about_solution` both; `information_at_solution` returns the Fisher information there,
-and `noise_factor` is F/ν where noise is that of residuals.
+optimum, and `about_solution` both; `information_at_solution` returns the Fisher information there.
 
 Where orientations are known, with the design X and the covariance V of the readings,
 
@@ -96,14 +95,6 @@ def _turns(calibration: Calibration) -> Array:
     found = (orientations and orientations.group_rotation_deg) or {}
     turns = [rotation_matrix(np.radians(vector)) for vector in found.values()]
     return np.array(turns).reshape(-1, 3, 3)
-
-
-def noise_factor(calibration: Calibration, problem: Problem, optimum: Optimum) -> float:
-    """Return F/nu where the noise is that of the residuals, NaN without any; else one."""
-    if np.isinf(calibration.dof[0]) or calibration.variance_components:
-        return 1.0
-    nu = float(problem.degrees.sum()) - problem.unknowns
-    return optimum.point.objective / nu if nu > 0.0 else np.nan
 
 
 def estimator_gain(calibration: Calibration) -> Array:

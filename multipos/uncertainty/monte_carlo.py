@@ -18,13 +18,12 @@ where it agrees with it.
 
 With known orientations an estimate is one matrix product with the readings, however many trials.
 With uncertain and unknown ones the likelihood is searched in every trial, with the noise of the fit
-as its weights; triads at unknown orientations many trials at a time.
+as its weights.
 """
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,6 @@ from multipos.errors import UsageError
 from multipos.estimation.descent import maximise
 from multipos.estimation.gains import estimator_gain, restate
 from multipos.estimation.problem import start_state
-from multipos.estimation.unknown_orientations import UnknownSearch, search
 from multipos.numerics.arrays import Array, Mask
 from multipos.numerics.rotations import directions
 from multipos.results import Result, Tabular, frozen, require
@@ -45,7 +43,6 @@ Solve = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trial
 
 _BLOCK = 10_000  # trials of a block (JCGM 101, 7.9.4)
 _FEW = 100  # of an estimator that runs once a trial, so that progress shows
-_AT_ONCE = 12_000  # positions of trials that are searched together, so that they stay in the cache
 _MOST = 1_000_000  # all are kept until they are sorted
 
 
@@ -166,8 +163,8 @@ def simulate_budget(
     delta = numerical_tolerance(c.u, digits)
     dof = c.model.per_parameter(draw.dof, draw.dof.sum())
     exists = np.where(dof > 2.0, 1.0, math.nan)
-    one_by_one = estimator is None and not _is_product(c)
-    size = _FEW if one_by_one and trials is not None else _BLOCK
+    at_once = estimator is not None or _is_product(c) or trials is None
+    size = _BLOCK if at_once else _FEW
     blocks = _blocks(solve, draw, trials or _MOST, size, progress)
     if trials is None:
         done, stable = _until_stable(blocks, c.confidence, exists, delta)
@@ -254,33 +251,12 @@ def _own_estimator(c: Calibration) -> Solve:
     # About the solution itself: its reference is the listed one, already turned and stepped.
     problem = replace(restate(c), reference=c.reference)
     direction = directions(c.reference)
-    if UnknownSearch.fits(problem) and not problem.held:
-        together = partial(_searched, UnknownSearch.of_problem(problem), c)
-        at_once = max(1, _AT_ONCE // len(c.reference))
-        return lambda readings: np.concatenate(
-            [together(readings[i : i + at_once]) for i in range(0, len(readings), at_once)]
-        )
 
     def estimate(values: Array) -> Array:
         drawn = replace(problem, values=values)
         return maximise(drawn, start_state(drawn, c.parameters.copy(), direction)).state.theta
 
     return lambda readings: np.array([estimate(one) for one in readings])
-
-
-def _searched(of_one: UnknownSearch, c: Calibration, readings: Array) -> Array:
-    """Parameters of trials at unknown orientations, searched together from the solution."""
-    shape = (3, len(readings), len(c.reference))
-    steps = replace(
-        of_one,
-        values=np.moveaxis(readings, 2, 0).copy(),
-        variance=np.broadcast_to(of_one.variance, shape),
-    )
-    theta = np.tile(c.parameters, (len(readings), 1))
-    force = np.broadcast_to(c.reference.T[:, None], shape).copy()
-    with np.errstate(all="ignore"):  # a trial may run away
-        found, _ = search(steps, steps.at(theta, force))
-    return found.theta
 
 
 def _is_product(c: Calibration) -> bool:

@@ -1,8 +1,8 @@
 """How input quantities of the measurement move the parameters of a calibration.
 
 `parameter_effects` returns how a quantity moves the parameters, `reading_moves` how it moves the
-readings, `turn_axes` the axes about which it turns positions; `is_bounded` tells whether only a
-bound of its effect is known.
+readings, `turn_axes` the axes about which it turns positions and `turn_readings` what turns do to
+readings; `is_bounded` tells whether only a bound of its effect is known.
 
 Every estimator is described near its solution by its gain, how the parameters follow the
 readings (output running fastest),
@@ -76,7 +76,7 @@ def parameter_effects(c: Calibration, gain: Array, quantity: Quantity) -> Array:
         return np.zeros((len(gain), 1))
     if quantity.name == "orientation" or is_bounded(c, quantity):
         size = math.sqrt(n) if quantity.name == "level" else 1.0  # eq. (2b)
-        moved = _turned(c, np.broadcast_to(size * np.eye(3), (n, 3, 3)))  # (n, M, 3 axes)
+        moved = turn_readings(c, np.broadcast_to(size * np.eye(3), (n, 3, 3)))  # (n, M, 3 axes)
         by_position = gain.reshape(-1, n, m)
         effects = np.einsum("pnm,nma->pna", by_position, moved)
         return np.asarray(effects.reshape(len(gain), -1))
@@ -97,7 +97,7 @@ def reading_moves(calibration: Calibration, quantity: Quantity) -> Array:
     c = calibration
     n, m = c.readings.values.shape
     if quantity.name in ("level", "index"):
-        return _turned(c, turn_axes(c, quantity))
+        return turn_readings(c, turn_axes(c, quantity))
     if quantity.name == "cross":
         return term_moves(c, {"other": 1.0}, c.reference)
     if quantity.name == "stability":
@@ -130,7 +130,7 @@ def turn_axes(calibration: Calibration, quantity: Quantity) -> Array:
     return np.asarray(_attitudes(calibration, quantity)[:, :, :2].transpose(0, 2, 1))
 
 
-def _turned(c: Calibration, axes: Array) -> Array:
+def turn_readings(c: Calibration, axes: Array) -> Array:
     """Return the change of the readings (n, M, q) per degree of turn about axes (n, q, 3)."""
     change = np.cross(axes, c.reference[:, None, :])
     J = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)

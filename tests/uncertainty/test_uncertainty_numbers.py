@@ -10,7 +10,6 @@ from scipy.stats import f as fisher
 from scipy.stats import t
 
 import multipos as mp
-from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
 from multipos.uncertainty import (
     common_causes,
@@ -21,9 +20,7 @@ from multipos.uncertainty import (
     turntable,
     validity,
 )
-from multipos.uncertainty import draws as drawing
 from multipos.uncertainty.budgets import _quantity, _size, resolve
-from multipos.uncertainty.draws import Draws, _noise_root
 from multipos.uncertainty.monte_carlo import _shortest, _symmetric
 from multipos.uncertainty.propagation import _blocks, row_dof
 from multipos.uncertainty.turntable import _largest_loss, _solve_beside
@@ -58,38 +55,6 @@ def test_a_common_cause_takes_its_part_of_a_pooled_scatter():
     assert_allclose(found.ratio, (14.25 / 11.0) / (np.sum(e**2) / 12.0), rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("change", "looked"),
-    [
-        ({}, True),
-        ({"common": False}, False),
-        ({"common": False, "shared": True}, True),
-        ({"name": "gravity"}, False),
-        ({"u": 0.0}, False),
-        ({"exact": False}, False),
-        ({"robust_weight": 1}, False),
-        ({"runs": [1.0, 2.0]}, False),
-        ({"bounded": True}, False),
-        ({"noise": 1}, False),
-        ({"noise": 1, "rests": {}}, True),
-    ],
-)
-def test_what_residuals_may_show(change, looked, monkeypatch):
-    of = {"common": True, "shared": False, "name": "level", "u": 0.1, "exact": True, "noise": None}
-    of |= {"robust_weight": None, "runs": [1.0, 1.0], "bounded": False, "rests": None, **change}
-    monkeypatch.setattr(common_causes, "is_bounded", lambda c, quantity: of["bounded"])
-    quantity = SimpleNamespace(
-        kind=SimpleNamespace(common=of["common"], shared=of["shared"]), name=of["name"], u=of["u"]
-    )
-    c = SimpleNamespace(
-        estimator=SimpleNamespace(exact=of["exact"]), robust_weight=of["robust_weight"],
-        readings=SimpleNamespace(environment={"run": of["runs"]}), noise=of["noise"],
-        model=SimpleNamespace(environment=(), ties_outputs=False),
-        variance_components=SimpleNamespace(rest_to_rest=of["rests"]),
-    )  # fmt: skip
-    assert common_causes._is_looked_for(c, quantity) is looked
-
-
 # --- a table beside the sensor
 
 
@@ -122,74 +87,6 @@ def test_errors_of_a_table_are_fitted_beside_the_sensor():
 # --- Monte Carlo
 
 
-def draws(**given):
-    own = {"n": 2, "m": 2, "joint": False, "rng": np.random.default_rng(6)}
-    return SimpleNamespace(**own | given)
-
-
-@pytest.mark.parametrize("joint", [False, True])
-def test_noise_is_drawn_with_its_covariance_and_degrees_of_freedom(joint):
-    """Student's t of 8: a variance of 8/6, of one output alone or of both together."""
-    root = np.array([[0.5, 0, 0, 0], [0.2, 0.3, 0, 0], [0.1, -0.4, 0.7, 0], [0.3, 0.1, 0.2, 0.6]])
-    dof = np.array([8.0, 8.0 if joint else math.inf])
-    drawn = Draws._noise(draws(noise=root, dof=dof, joint=joint), 100_000).reshape(-1, 4)
-    factor = np.array([8 / 6, 8 / 6 if joint else 1.0] * 2)
-    C = root @ root.T
-    found = drawn.T @ drawn / len(drawn)
-    assert_allclose(np.diag(found), np.diag(C) * factor, rtol=0.03)
-    # apart, a covariance has the mean of the square root of one factor: sqrt(4) Γ(7/2)/Γ(4)
-    half = 2.0 * math.gamma(3.5) / math.gamma(4.0)
-    assert found[0, 1] == pytest.approx(C[0, 1] * (8 / 6 if joint else half), rel=0.05)
-    plain = Draws._noise(
-        draws(noise=np.array([1.0, 2.0, 3.0, 4.0]), dof=np.full(2, np.inf)), 20_000
-    )
-    assert_allclose(plain.std(axis=0).ravel(), [1.0, 2.0, 3.0, 4.0], rtol=0.03)
-
-
-def test_turns_of_positions_are_as_wide_as_the_likelihood_says():
-    """The spread of each, known to a tenth or to its size, and a level that all share."""
-    attitude = np.array([[[0.6, 0.8, 0.1], [0.3, 0.4, 9.0], [0.2, -0.7, 9.0]]] * 2)
-    state = draws(
-        spread=np.array([0.01, 0.03]), rolls=None, spread_u=0.1, level=0.0, attitude=attitude
-    )
-    turns = Draws._allowed(state, 40_000)
-    wanted = np.array([[0.01] * 3, [0.03] * 3]) * math.sqrt(1.0 + 0.1**2)
-    assert_allclose(turns.std(axis=0), wanted, rtol=0.03)
-    # E max(1 + z, 0)² = 2 Φ(1) + φ(1)
-    state.spread_u = 1.0
-    turns = Draws._allowed(state, 40_000)
-    wanted = np.array([[0.01] * 3, [0.03] * 3]) * math.sqrt(2 * 0.841345 + 0.241971)
-    assert_allclose(turns.std(axis=0), wanted, rtol=0.03)
-    state.spread, state.level = np.zeros(2), 0.02
-    turns = Draws._allowed(state, 40_000)
-    assert_allclose(turns.std(axis=0)[0], 0.02 * np.hypot(*attitude[0, :, :2].T), rtol=0.03)
-    assert_allclose(turns[:, 0], turns[:, 1])
-
-
-def test_forces_that_act_are_turned_and_scaled():
-    """A heading turns all at once by its axes; gravity scales what is at rest."""
-    model = SimpleNamespace(environment=("t",), predict=lambda b, f, env: f + env["t"][:, None])
-    reference = np.array([[0.6, 0.0, -0.8], [0.0, 1.0, 0.0]])
-    environment = {"t": np.array([3.0, 5.0])}
-    readings = SimpleNamespace(forced=np.array([False, True]), environment=environment)
-    c = SimpleNamespace(reference=reference, parameters=None, model=model, readings=readings)
-    c.gravity = SimpleNamespace(value=9.8)
-    axes = np.array([[[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]]])
-    drawn = {"level": np.array([[2.0], [-3.0]]), "gravity": np.full((2, 1, 1), 0.49)}
-    state = draws(c=c, m=3, _law=lambda quantity, shape: drawn[quantity.name])
-    state._allowed = lambda trials: np.zeros((trials, 2, 3))
-    quantities = [SimpleNamespace(name=name) for name in ("level", "gravity")]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(drawing, "is_bounded", lambda c, quantity: False)
-        patch.setattr(drawing, "turn_axes", lambda c, quantity: axes)
-        found = Draws._acted(state, 2, quantities[:1], quantities[1:])
-    for trial, degrees in enumerate((2.0, -3.0)):
-        a = math.radians(degrees)
-        first = [0.6 * math.cos(a) - 0.8 * math.sin(a), 0.0, -0.6 * math.sin(a) - 0.8 * math.cos(a)]
-        assert_allclose(found[trial, 0], np.array(first) * 1.05 + 3.0, rtol=1e-12)
-        assert_allclose(found[trial, 1], [5.0 - math.sin(a), 5.0 + math.cos(a), 5.0], rtol=1e-12)
-
-
 def test_the_ends_of_intervals_of_trials():
     """Of 11 trials 90 % are 10 in width: from the first to the last; 50 % six, shortest or even."""
     values = np.array([[0.5, 4.0, 5.0, 6.0, 6.5, 7.0, 9.0, 12.0, 13.0, 17.0, 30.0]])
@@ -203,25 +100,6 @@ def test_the_ends_of_intervals_of_trials():
     low, high = _symmetric(values, 0.9)
     assert (low[0], high[0]) == (0.5, 30.0)
     assert _shortest(values, 0.9999).tolist() == [[0.5, 30.0]]
-
-
-@pytest.mark.parametrize("whole", [False, True])
-def test_the_root_of_the_noise_of_readings(whole, monkeypatch):
-    """Stated noise times what the residuals scaled it by, of each output its own."""
-    rng = np.random.default_rng(2)
-    gain, A = rng.normal(size=(3, 4)), rng.normal(size=(4, 6))
-    noise = A @ A.T if whole else rng.uniform(1, 2, 4)
-    V = noise if whole else np.diag(noise)
-    plain = np.sqrt(np.diag(gain @ V @ gain.T))
-    monkeypatch.setattr(drawing, "estimator_gain", lambda c: gain)
-    c = SimpleNamespace(
-        readings=SimpleNamespace(values=np.zeros((2, 2))), noise=noise,
-        model=SimpleNamespace(slices=(slice(0, 2), slice(2, 3))),
-    )  # fmt: skip
-    root = _noise_root(c, np.diag((plain * [1.3, 1.3, 0.7]) ** 2))
-    scale = np.array([1.3, 0.7, 1.3, 0.7])
-    wanted = V * np.outer(scale, scale)
-    assert_allclose(root @ root.T if whole else np.diag(root**2), wanted, rtol=1e-9)
 
 
 # --- budgets
@@ -330,68 +208,6 @@ def test_how_much_a_parameter_loses_by_the_others():
             left = X[:, j] - rest @ np.linalg.lstsq(rest, X[:, j], rcond=None)[0]
             losses.append(np.linalg.norm(X[:, j]) / np.linalg.norm(left))
     assert _largest_loss(c) == pytest.approx(max(losses))
-
-
-@pytest.mark.parametrize(
-    ("axes", "count", "spans", "enough"),
-    [("xyz", 8, True, True), ("xyz", 7, True, False), ("xy", 3, True, True), ("xy", 2, True, False),
-     ("xy", 9, False, False)],
-)  # fmt: skip
-def test_rolls_that_go_around_far_enough(axes, count, spans, enough, monkeypatch):
-    roll = SimpleNamespace(spans_a_turn=spans, distinct=range(count))
-    monkeypatch.setattr(turntable, "find_rolls", lambda readings: [roll])
-    c = SimpleNamespace(
-        estimator=Estimator.LINEAR, readings=SimpleNamespace(up=1), model=SimpleNamespace(axes=axes)
-    )
-    assert turntable.has_rolls(c) is enough
-    c.readings.up = None
-    assert not turntable.has_rolls(c)
-
-
-@pytest.mark.parametrize("dof", [math.inf, 9.0])
-def test_quantities_are_drawn_by_their_law(dof):
-    rng = np.random.default_rng(1)
-    state = SimpleNamespace(rng=rng)
-    quantity = SimpleNamespace(u=0.3, distribution="normal", dof=dof)
-    drawn = Draws._law(state, quantity, (40_000,))
-    wanted = 0.3 * (math.sqrt(9.0 / 7.0) if math.isfinite(dof) else 1.0)
-    assert drawn.std() == pytest.approx(wanted, rel=0.03)
-
-
-@pytest.mark.parametrize(("name", "size"), [("level", math.sqrt(2.0)), ("orientation", 1.0)])
-def test_positions_turn_each_by_itself_where_no_attitude_is_known(name, size, monkeypatch):
-    """Of a level so that the mean of all is off as stated: by √n, of two positions here."""
-    monkeypatch.setattr(drawing, "is_bounded", lambda c, quantity: True)
-    model = SimpleNamespace(environment=(), predict=lambda b, f, env: f)
-    reference = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-    c = SimpleNamespace(reference=reference, parameters=None, model=model)
-    turns = np.array([[[0.3, 0.0, 0.0], [0.0, 0.0, -0.2]]])
-    state = draws(c=c, m=3, _law=lambda quantity, shape: turns)
-    state._allowed = lambda trials: np.zeros((trials, 2, 3))
-    (found,) = Draws._acted(state, 1, [SimpleNamespace(name=name)], [])
-    a, b = np.radians(size * np.array([0.3, 0.2]))
-    assert_allclose(
-        np.abs(found), [[0.0, math.sin(a), math.cos(a)], [math.cos(b), math.sin(b), 0.0]]
-    )
-
-
-def test_rolls_of_open_angle_turn_only_across_their_circles():
-    reference = np.array([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8]])
-    rolls = SimpleNamespace(
-        rows=np.array([True, False]), vectors=np.array([[1.0, 0, 0], [0, 0, 0]])
-    )
-    state = draws(
-        spread=np.array([0.01, 0.02]), rolls=rolls, spread_u=0.0, level=0.0, attitude=None
-    )
-    state.c = SimpleNamespace(reference=reference)
-    turns = Draws._allowed(state, 20_000)
-    covariance = turns[:, 0].T @ turns[:, 0] / 20_000
-    sizes, vectors = np.linalg.eigh(covariance)
-    assert_allclose(sizes, [0.0, 0.0, 1e-4], rtol=0.05, atol=1e-12)
-    # a turn about the vector moves the position along the axis of its roll
-    moved = np.cross(vectors[:, 2], reference[0])
-    assert abs(moved @ [1.0, 0.0, 0.0]) == pytest.approx(1.0, abs=1e-6)
-    assert_allclose(turns[:, 1].std(axis=0), 0.02, rtol=0.03)
 
 
 def test_how_force_follows_parameters_at_the_mean_temperature():
@@ -522,69 +338,3 @@ def test_gravity_of_a_budget_is_as_it_was_used(used, law):
     if law:
         own = found[0]
         assert (own.u, own.unit, own.distribution, own.dof) == (used, "m/s^2", *law)
-
-
-@pytest.mark.parametrize("correlated", [False, True])
-def test_draws_take_noise_and_spreads_from_the_likelihood(correlated, monkeypatch):
-    """All sds by √2.5: the noise as V = 2.5 W⁻¹ in blocks; u of s is a quarter of it."""
-    rng = np.random.default_rng(3)
-    root = rng.normal(size=(4, 2, 5))
-    V = root @ root.transpose(0, 2, 1)
-    variances = rng.uniform(0.5, 2.0, (4, 2))
-    problem = SimpleNamespace(
-        precision=np.linalg.inv(V) if correlated else 1.0 / variances,
-        orientation_sd=np.array([0.1, np.inf, 0.0, 0.3]), level_sd=0.2, attitude="a", rolls="r",
-    )  # fmt: skip
-    monkeypatch.setattr(drawing, "restate", lambda c: problem)
-    monkeypatch.setattr(drawing, "return_to_optimum", lambda *_: None)
-    monkeypatch.setattr(drawing, "noise_factor", lambda *_: 2.5)
-    spread = SimpleNamespace(value=4.0, u=1.0)
-    c = SimpleNamespace(orientation_spread=spread, findings=())
-    draws = SimpleNamespace(c=c, n=4, m=2)
-    Draws._take_from_likelihood(draws)
-    if correlated:
-        whole = np.zeros((8, 8))
-        for row in range(4):
-            whole[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = 2.5 * V[row]
-        assert_allclose(draws.noise @ draws.noise.T, whole, atol=1e-9)
-    else:
-        assert_allclose(draws.noise**2, 2.5 * variances.ravel())
-    assert_allclose(draws.spread, math.sqrt(2.5) * np.array([0.1, 0.0, 0.0, 0.3]))
-    assert draws.level == pytest.approx(math.sqrt(2.5) * 0.2)
-    assert (draws.spread_u, draws.attitude, draws.rolls) == (0.25, "a", "r")
-
-
-@pytest.mark.parametrize(
-    ("name", "exact", "common", "contained"),
-    [("level", True, False, [True, False]), ("level", True, True, [False, False]),
-     ("orientation", True, False, [True, False]), ("orientation", False, False, [True, True])],
-)  # fmt: skip
-def test_a_quantity_moves_parameters_by_its_effects(name, exact, common, contained, monkeypatch):
-    """u² E E', and |E| of each; in residuals where outputs have any and all do not share it."""
-    effects = np.array([[0.3, -0.4], [0.6, 0.8], [0.0, -2.0]])
-    monkeypatch.setattr(propagation, "parameter_effects", lambda *_: effects)
-    monkeypatch.setattr(propagation, "is_bounded", lambda *_: False)
-    kind = SimpleNamespace(common=common, shared=False, text="t", unit="deg")
-    quantity = SimpleNamespace(name=name, kind=kind, u=0.5, distribution="normal", dof=7.0)
-    c = SimpleNamespace(
-        dof_of_outputs=np.array([3.0, np.nan]), parameters=np.zeros(3),
-        estimator=Estimator.LINEAR if exact else Estimator.UNCERTAIN,
-    )  # fmt: skip
-    row = propagation._row(c, None, quantity)
-    assert_allclose(row.covariance, 0.25 * effects @ effects.T)
-    assert_allclose(row.sensitivity, [0.5, 1.0, 2.0])
-    assert (row.contained.tolist(), row.dof.tolist(), row.u) == (contained, [7.0] * 3, 0.5)
-    effects = effects[:, 1:]
-    assert_allclose(propagation._row(c, None, quantity).sensitivity, [-0.4, 0.8, -2.0])
-
-
-def test_errors_of_the_table_in_columns():
-    """Those of the angle, then those of the shaft; None where one cannot be identified."""
-    angle = turntable.TableError("xy", "first_cos", 0.01, 0.002, 0.005, ())
-    shaft = turntable.TableError("xy", "level", None, None, None, ("bias_ax",))
-    found = turntable.TableErrors((angle,), (), 9.0, (shaft,)).columns()
-    assert found == {
-        "of": ["angle", "shaft"], "plane": ["xy", "xy"], "quantity": ["first_cos", "level"],
-        "value_deg": [0.01, None], "u_deg": [0.002, None], "U_deg": [0.005, None],
-        "confounded_with": [(), ("bias_ax",)],
-    }  # fmt: skip
