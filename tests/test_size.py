@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "multipos"
 
-ALL, TESTS = 51_310, 46_712
+ALL, TESTS = 51_301, 46_496
 
 # By room; what stands beside the rooms counts with the commands.
 CEILINGS = {
@@ -25,7 +25,7 @@ CEILINGS = {
     "compensation": 781,
     "designs": 1734,
     "diagnostics": 4060,
-    "estimation": 5866,
+    "estimation": 5861,
     "exports": 2452,
     "files": 3030,
     "fitting": 1407,
@@ -38,7 +38,7 @@ CEILINGS = {
     "regression": 2203,
     "reports": 2687,
     "sensor": 3735,
-    "uncertainty": 1762,
+    "uncertainty": 1758,
     "verification": 2498,
 }
 
