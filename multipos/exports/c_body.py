@@ -30,7 +30,6 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.exports.c_text import Real, Statement, literal
@@ -130,7 +129,6 @@ def _contraction(calibration: Calibration, slope: Array) -> float:
 
 # Output, product of force components, and its coefficient: a number times a named constant.
 _RestTerm = tuple[int, Term, tuple[float, str]]
-_Exact = NDArray[np.object_]  # of fractions
 
 
 class Body(NamedTuple):
@@ -179,25 +177,16 @@ def exact_inverse(A: Array) -> Array:
     Kernels of linear algebra differ in the last digit; a file that is verified on another machine,
     or was written in a browser, must be the same there.
     """
-    exact = _as_fractions(A)
-    return _solved(exact.T @ exact, exact.T)
-
-
-def _as_fractions(A: Array) -> _Exact:
-    return np.array([[Fraction(value) for value in row] for row in A.tolist()], dtype=object)
-
-
-def _solved(A: _Exact, B: _Exact) -> Array:
-    """Return A⁻¹ B of a normal matrix, whose pivots are above zero unless it is singular."""
-    rows = np.hstack([A, B])
-    for i in range(len(rows)):
+    exact = np.array([[Fraction(value) for value in row] for row in A.tolist()], dtype=object)
+    rows = np.hstack([exact.T @ exact, exact.T])
+    for i in range(len(rows)):  # a normal matrix, whose pivots are above zero unless it is singular
         if not rows[i, i]:
             raise np.linalg.LinAlgError("Singular matrix")
         rows[i] = rows[i] / rows[i, i]
         for j in range(len(rows)):
             if j != i:
                 rows[j] = rows[j] - rows[j, i] * rows[i]
-    return rows[:, len(A) :].astype(np.float64)
+    return rows[:, A.shape[1] :].astype(np.float64)
 
 
 class _Writer:

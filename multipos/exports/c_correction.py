@@ -330,7 +330,7 @@ class _Writer:
         values = [(b, t) for b, t in zip(s.values.tolist(), s.terms, strict=True) if b]
         used = {term for row in (values, *entries) for _, term in row}
         names: dict[Term, str] = {CONSTANT: ""}
-        for term in filter(used.__contains__, every):
+        for term in filter(used.__contains__, dict.fromkeys(every)):
             factors = written_factors(term, variables, self._single)
             if len(factors) > 1:
                 names[term] = f"t{len(names)}"

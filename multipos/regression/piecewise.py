@@ -310,14 +310,17 @@ def _regions(whole: _Whole, fit: _Fit) -> list[Region | None]:
         if not terms and not left_out:
             found.append(None)
             continue
-        G = region_factor(kept, beyond, shortest, L if whole.edges else None)
-        _check_size("factor of the region", np.abs(G).max(axis=0), (*terms, *left_out))
+        # A term that varies too little beside its changes at both sides of an edge is in these.
+        own = [i for i, term in enumerate(left_out) if term not in terms]
+        every = (*terms, *(left_out[i] for i in own))
+        G = region_factor(kept, beyond[:, own], shortest[own], L if whole.edges else None)
+        _check_size("factor of the region", np.abs(G).max(axis=0), every)
         columns = {name: column[part] for name, column in data.columns.items()}
         for edge in span:
             next_to = int(np.argmin(np.abs(columns[whole.variable] - edge)))
             columns = {name: np.append(column, column[next_to]) for name, column in columns.items()}
             columns[whole.variable][-1] = edge
-        region = Region((*terms, *left_out), G, np.inf)
+        region = Region(every, G, np.inf)
         found.append((region, columns, len(columns[whole.variable])))
     limit = largest_leverage([one for one in found if one is not None])
     return [None if one is None else replace(one[0], limit=limit) for one in found]

@@ -194,14 +194,15 @@ def test_three_axes_behind_a_calibration(tmp_path, compiler, single, rate):
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_three_regressions_in_one_file_compile_without_a_warning(tmp_path, compiler):
-    """Also where the region of a segment has a term that is in no sum, as a file may say."""
+    """Also where the region of a segment has a term in no sum, or one twice, as a file may say."""
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler} on this machine")
     fits = [fitted("rates and segments", seed) for seed in (1, 2)] + [fitted("a modulus")]
     segments = []
     for s in fits[0].segments:
-        terms = (*s.region.terms, term("V^2*temperature^2"))
-        factor = np.column_stack([s.region.factor, np.zeros(len(s.region.factor))])
+        terms = (*s.region.terms, term("V^2*temperature^2"), term("V*temperature"))
+        none = np.zeros(len(s.region.factor))
+        factor = np.column_stack([s.region.factor, none, none + 1e-6])
         segments.append(replace(s, region=replace(s.region, terms=terms, factor=factor)))
     fits[0] = replace(fits[0], segments=tuple(segments))
     exported = mp.export(fits, "c")

@@ -12,7 +12,6 @@ from multipos.numerics.quantiles import f_tail, normal_quantile
 from multipos.numerics.terms import parse_terms
 from multipos.regression import correlation, whitening
 from multipos.regression.correlation import (
-    _moving_power,
     bandwidth,
     effective_size,
     hac_covariance,
@@ -117,19 +116,6 @@ def test_hac_covariance_of_a_mean_by_hand():
     assert_allclose(found, LONG_RUN / 16**2 * 16 / 15, rtol=1e-12)
 
 
-def test_hac_bandwidth_by_hand():
-    """Twelve residuals ±1 in turn: a = −1, taken as −0.97, leaves ±0.03 and ±√0.0591 at first.
-
-    Their neighbours are correlated by −(0.03 √0.0591 + 10 · 0.0009)/(0.0591 + 11 · 0.0009) = −.236:
-    α = 0.2499, 1.1447 (12 α)^(1/3) = 1.65, so B = 2 and neighbours count with a weight of a half,
-    twice.
-    """
-    e = np.tile([1.0, -1.0], 6)
-    left = 0.0591 + 11 * 0.0009 - (0.03 * math.sqrt(0.0591) + 10 * 0.0009)
-    found = hac_covariance(np.ones((12, 1)), e, np.array([[1 / 12]]), time_order(np.arange(12.0)))
-    assert_allclose(found, left / 1.97**2 / 12**2 * 12 / 11, rtol=1e-10)
-
-
 def test_f_robust_by_hand():
     """Eq. (4): b = (2, 1) with variances 1 and 1/4, (4 + 4)/2 · (9 − 2 + 1)/9 = 32/9 on 2 and 8."""
     # eq. (4) of regression.correlation
@@ -221,19 +207,6 @@ def test_the_basis_of_a_design_spans_it_without_what_depends_on_other_columns():
     unit = X[:, :5] / np.linalg.norm(X[:, :5], axis=0)
     left = y - unit @ np.linalg.lstsq(unit, y, rcond=None)[0]
     assert_allclose(y - basis @ (basis.T @ y), left, atol=1e-13)
-
-
-@pytest.mark.parametrize("width", [1, 3, 7])
-def test_bartletts_sums_of_lagged_products_within_runs(width):
-    rng = np.random.default_rng(width)
-    g, starts = rng.normal(size=(12, 2)), [0, 6, 7]
-    run = np.repeat([0, 1, 2], [6, 1, 5])
-    expected = np.zeros((2, 2))
-    for j in range(12):
-        for k in range(12):
-            weight = max(1.0 - abs(j - k) / width, 0.0) * (run[j] == run[k])
-            expected += weight * np.outer(g[j], g[k])
-    np.testing.assert_allclose(_moving_power(g, np.array(starts), width), expected, atol=1e-12)
 
 
 def test_a_variable_of_the_period_of_its_noise_is_not_significant():

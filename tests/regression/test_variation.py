@@ -177,3 +177,12 @@ def test_a_corner_of_the_box_is_outside_in_python_and_in_c(free, tmp_path):
     drive = Drive(np.arange(len(rows)), np.arange(float(len(rows))), rows)
     back = corrected_rows(mp.export(model, "c").text, c, drive)
     assert (back[:, 0] == flagged).all()
+
+
+def test_the_region_of_segments_that_join_has_a_term_once():
+    """T says nothing beside its changes below and above 0, of which each segment's T is made."""
+    T = np.linspace(-40.0, 60.0, 200)
+    table = {"T": T, "y": 1e-3 * np.abs(T) + 1e-4 * np.random.default_rng(0).normal(size=200)}
+    found = mp.regress(table, response="y", variables="T", stepwise=True, segment="T:0")
+    for segment in found.segments:
+        assert [str(term) for term in segment.region.terms] == ["1", "T"]
