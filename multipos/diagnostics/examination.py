@@ -317,54 +317,57 @@ def _gain_without(c: Calibration, rows: list[int]) -> float:
 
 def _describe(c: Calibration, cause: row_order.Cause) -> Finding:
     """Return what is said of a cause, with its size and what to do."""
-    sizes = np.zeros(0) if cause.code == row_order.SLOW else row_order.estimate(c, cause)
-    text, action, rows = _SAID[cause.code](c, cause, sizes)
+    sizes = columns = np.zeros((0, 0))
+    if cause.code != row_order.SLOW:
+        sizes, columns = row_order.estimate(c, cause)
+    text, action, rows = _SAID[cause.code](c, cause, sizes, columns)
     return Finding(cause.code, "warning", text, action, rows, p=cause.p)
 
 
 _Said = tuple[str, str, tuple[str, ...]]
 
 
-def _drift(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
-    time = c.readings.environment.get(row_order.TIME)
-    timed = time is not None and np.isfinite(time).all() and np.ptp(time) > 0.0
-    span = float(np.ptp(time)) if time is not None and timed else len(c.readings) - 1.0
-    whole = float(np.abs(sizes).max()) * span
+def _drift(c: Calibration, cause: row_order.Cause, sizes: Array, columns: Array) -> _Said:
+    whole = float(np.abs(sizes).max()) * float(np.ptp(columns))
     text = f"readings drift by {whole:.2g} {c.model.unit} from the first row to the last"
     return f"{text} ({p_in_words(cause.p)})", "Fit the drift with --drift.", ()
 
 
-def _slipped(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
+def _slipped(c: Calibration, cause: row_order.Cause, sizes: Array, columns: Array) -> _Said:
     row, degrees = _first_row(c, cause), math.degrees(float(np.linalg.norm(sizes)))
     text = f"from row {row} on the case is rotated by {degrees:.2g} degrees, as if it slipped"
     action = f"Name the rows from {row} on in a column `group`, and no others."
     return f"{text} ({p_in_words(cause.p)}); U excludes it", action, (row,)
 
 
-def _replaced(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
+def _replaced(c: Calibration, cause: row_order.Cause, sizes: Array, columns: Array) -> _Said:
     row, what = _first_row(c, cause), "parameters"
-    if not cause.wholly:
+    if columns.shape[1] == 1:
         what = f"biases, by up to {float(np.abs(sizes).max()):.2g} {c.model.unit}"
     text = f"from row {row} on readings have other {what} ({p_in_words(cause.p)})"
     action = f"Fit the rows before {row} and those from it on separately."
     return f"{text}, as after an exchange or a switch-on", action, (row,)
 
 
-def _settling(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
+def _settling(c: Calibration, cause: row_order.Cause, sizes: Array, columns: Array) -> _Said:
     share = 100.0 * float(sizes.item())
     text = f"readings contain {share:.2g} % of the previous row ({p_in_words(cause.p)})"
     action = "Wait longer at each position before reading."
     return f"{text}, as from a filter with a long time constant", action, ()
 
 
-def _hysteresis(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
-    both = 2.0 * float(np.abs(sizes).max())
+def _hysteresis(c: Calibration, cause: row_order.Cause, sizes: Array, columns: Array) -> _Said:
+    stated, both = columns.ndim == 2, 2.0 * float(np.abs(sizes).max())
+    if not stated:  # in g
+        both *= float(np.linalg.norm(c.sensitivity, axis=1).max())
     text = f"readings differ by {both:.2g} {c.model.unit} with the side of approach to a position"
     action = "Approach all positions from one side, or each from both."
+    if not stated:
+        action = "Approach all positions from one side, or state the side in a column `approach`."
     return f"{text} ({p_in_words(cause.p)})", action, ()
 
 
-def _vibration(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
+def _vibration(c: Calibration, cause: row_order.Cause, sizes: Array, columns: Array) -> _Said:
     sd = c.readings.sd
     assert sd is not None
     own = np.sqrt(np.einsum("nm,nm->n", sd, sd))
@@ -376,20 +379,20 @@ def _vibration(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
     return f"{text} ({p_in_words(cause.p)}), as from rectified vibration", action, rows
 
 
-def _level(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
+def _level(c: Calibration, cause: row_order.Cause, sizes: Array, columns: Array) -> _Said:
     degrees = math.degrees(float(np.linalg.norm(sizes)))
     text = f"the attitudes indicate a table tilt of {degrees:.2g} degrees ({p_in_words(cause.p)})"
     return f"{text}; U excludes it", f"Level it, or fit with --level-sd {degrees:.1g}.", ()
 
 
-def _table(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
+def _table(c: Calibration, cause: row_order.Cause, sizes: Array, columns: Array) -> _Said:
     off = f"{math.degrees(float(np.abs(sizes).max())):.1g}"
     text = f"residuals follow the roll angles, as from table errors of {off} degrees"
     action = f"Correct the angles with `multipos tumble`, or fit with --orientation-sd {off}."
     return f"{text} ({p_in_words(cause.p)})", action, ()
 
 
-def _slow(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
+def _slow(c: Calibration, cause: row_order.Cause, sizes: Array, columns: Array) -> _Said:
     text = "residuals of neighbouring rows are correlated although their positions differ; U is"
     action = "Add a column `time`, or measure the positions in random order."
     return f"{text} too small", action, ()
@@ -400,7 +403,7 @@ def _first_row(c: Calibration, cause: row_order.Cause) -> str:
     return c.readings.labels[cause.row]
 
 
-_SAID: dict[str, Callable[[Calibration, row_order.Cause, Array], _Said]] = {
+_SAID: dict[str, Callable[[Calibration, row_order.Cause, Array, Array], _Said]] = {
     "drift": _drift,
     "slipped": _slipped,
     "replaced": _replaced,

@@ -15,15 +15,17 @@ fit leaves of them, Δ = e'V(V'V)⁻¹V'e and ν degrees of freedom of an output
 N = Σ ν, is twice the logarithm of the ratio of likelihoods. With f_k the force at row k, K the
 slopes of the outputs and s_k = 1 from row j on, the columns are
 
-    drift       t_k, outputs apart            replaced    s_k, or s_k times every term, apart
-    slipped     s_k K (ω × f_k)               settling    a K (f_k−1 − f_k)
-    hysteresis  ±1 by approach, apart         vibration   the rests' own variance, apart
+    drift       t_k or exp(−t_k/τ), apart     replaced    s_k, or s_k times every term, apart
+    slipped     s_k K (ω × f_k)               settling    a K (f_k−1 − f_k), a > 0
+    hysteresis  ±1 by approach, apart; where none is stated K h with the signs of f_k − f_k−1
+    vibration   the rests' own variance, apart
     level       K (R_k east, R_k north)       table       two harmonics of the angle of each roll.
 
 As V'e = Z'e and V'V = Z'Z − (Q'Z)'(Q'Z), sums over the rows from j on give Δ for every j at once.
 The j of the largest Λ is judged: together by F of (1), apart by Fisher's sum over F of each output,
-times the number of j (union bound). Slow noise of correlation ρ = 1 − 5/n from row to row is judged
-by its score,
+times the number of j (union bound). Of fewer than twelve rows none is asked for what needs their
+order alone: chance explains as much. Slow noise of correlation ρ = 1 − 5/n from row to row is
+judged by its score,
 
     T = Σ e_i'Ω e_i / e_i'e_i,    Ω_jk = ρ^|j − k|,                                         (2)
 
@@ -62,6 +64,10 @@ from multipos.sensor.inverse import parameter_jacobian
 LEVEL = 0.01  # of all causes together
 _FIRST_SIGHT = 0.8  # of a limit, from which on p decides
 _LEAST = 2  # rows before and after a change
+_DOZEN = 12  # rows, of fewer of which chance explains as much as any cause of time
+_SETTLED = (0.1, 0.2, 0.4)  # τ of a warm-up, in shares of the session
+_SIDED = 4  # rows that are approached from one side, at least
+_DIGITS = 6  # of a force, within which it did not change
 _FREE = 2.0  # degrees of freedom an output: of one, its residuals by their size are a sign alone
 _IDENTIFIABLE = 1e-3  # of a column's square, which a fit must leave of it
 _GRID = 0.05  # of directions, to which plans are kept
@@ -102,15 +108,15 @@ class Cause:
         Chance of any cause where there is none.
     row : int or None
         The first row after a change.
-    wholly : bool
-        Whether every term changes there.
+    place : int
+        Of its test in the plan, the last of slow noise.
     """
 
     code: str
     score: float
     p: float
     row: int | None = None
-    wholly: bool = False
+    place: int = -1
 
 
 @frozen
@@ -229,14 +235,12 @@ class Shown(NamedTuple):
         Chance of any cause, searches included.
     step : (C, B) array of int
         The first row after a change, in the order of time.
-    wholly : (C,) array of bool
     """
 
     codes: tuple[str, ...]
     score: Array
     p: Array
     step: Rows
-    wholly: Mask
 
 
 def time_order(c: Calibration) -> Rows:
@@ -279,7 +283,10 @@ def search(c: Calibration) -> tuple[Cause, ...]:
         before = causes.get(code)
         if score > (-math.inf if before is None else before.score):
             row = int(plan.order[int(step)]) if code in _CHANGES else None
-            causes[code] = Cause(code, score, p, row, bool(found.wholly[place]))
+            causes[code] = Cause(code, score, p, row, place)
+    held = causes.get("settling")
+    if held is not None and not _sizes(plan, c, held, e, slopes).item() > 0.0:
+        del causes["settling"]  # a filter holds a share of the row before, and never less than none
     return tuple(causes.values())
 
 
@@ -320,8 +327,7 @@ def search_units(plan: Plan, residuals: Array, slopes: Array, level: float = LEV
     del along  # of many rows it is large
     _judge_slow(plan, e, whole, score[-1], p[-1])
     codes = (*(test.family.code for test in plan.tests), SLOW)
-    wholly = np.array([*(test.family.wholly for test in plan.tests), False])
-    return Shown(codes, score, p, step, wholly)
+    return Shown(codes, score, p, step)
 
 
 def _along_force(plan: Plan, e: Array) -> Array:
@@ -779,24 +785,45 @@ def _families(c: Calibration, p: int) -> list[_Family]:
     time = c.readings.environment.get(TIME)
     if time is not None and np.isfinite(time).all() and np.ptp(time) > 0.0:
         t = np.asarray(time, dtype=np.float64)[order]
-    families = [_Family("drift", (t - t.mean())[:, None], start)]
-    after = _some(_LEAST, n - _LEAST)
-    if len(after):
+    families: list[_Family] = []
+    if n >= _DOZEN:
+        families = _in_time(t)
+        after, wholly = _some(_LEAST, n - _LEAST), _some(p + 1, n - p - 1)
         turn = cross_matrix(-f)  # K_i (ω × f) = ω (f × K_i)
         families += [_Family("replaced", np.ones((n, 1)), after), _Family("slipped", turn, after)]
-    wholly = _some(p + 1, n - p - 1)
-    if len(wholly):
-        phi = c.model.basis(c.reference, c.readings.environment)[order]
-        families.append(_Family("replaced", phi, wholly, wholly=True))
-    families.append(_Family("settling", _held(f)[:, :, None], start))
+        if len(wholly):
+            phi = c.model.basis(c.reference, c.readings.environment)[order]
+            families.append(_Family("replaced", phi, wholly, wholly=True))
+        families.append(_Family("settling", _held(f)[:, :, None], start))
+        if APPROACH not in c.readings.environment:
+            families.append(_Family("hysteresis", _sides(f), start))
     for code, base in _stated(c):
         families.append(_Family(code, base[order], start))
     return families
 
 
+def _in_time(t: Array) -> list[_Family]:
+    """Return a line over times (n,), and what has settled after shares of all of them."""
+    after = (t - t[0]) / np.ptp(t)
+    courses = [t - t.mean(), *(np.exp(-after / share) for share in _SETTLED)]
+    return [_Family("drift", each[:, None], np.zeros(1, dtype=np.intp)) for each in courses]
+
+
 def _held(f: Array) -> Array:
     """Return by how much the force before each row of f (…, n, 3) differs from its own."""
     return np.asarray(np.concatenate([f[..., :1, :], f[..., :-1, :]], axis=-2) - f)
+
+
+def _sides(f: Array) -> Array:
+    """Return from which side each component of f (…, n, 3) was approached (…, n, 3, 3).
+
+    Nothing of the first row is known, and few rows of one side are as good as outliers.
+    """
+    side = np.sign(np.round(_held(f), _DIGITS))
+    side[..., 0, :] = side[..., 1, :]
+    ones = np.stack([(side > 0.0).sum(axis=-2), (side < 0.0).sum(axis=-2)])
+    side = side * (ones.min(axis=0) >= _SIDED)[..., None, :]
+    return np.asarray(np.eye(3) * side[..., None])
 
 
 def _stated(c: Calibration) -> Iterable[tuple[str, Array]]:
@@ -900,8 +927,9 @@ def _on_normals(family: _Family, along: _Along) -> Array:
     if family.apart:
         columns = family.base[:, :, None] * along.weight[..., None, :]
         return np.asarray(columns.reshape(*along.weight.shape[:-1], -1))
-    moved = _held(along.force) @ along.slopes.swapaxes(-1, -2)  # settling alone
-    return np.asarray(np.sum(moved * along.weight, axis=-1, keepdims=True))
+    base = _sides(along.force) if family.code == "hysteresis" else _held(along.force)[..., None]
+    force = along.weight @ along.slopes  # what moves a misfit by as much as the outputs
+    return np.asarray(np.einsum("...na,...naq->...nq", force, base))
 
 
 def search_solutions(c: Calibration, of: Solution, slopes: Array) -> Mask:
@@ -974,15 +1002,18 @@ def _explained_from(steps: Rows, Z: Array, Q: Array, e: Array) -> tuple[Array, A
     return explained, ranks
 
 
-def estimate(c: Calibration, cause: Cause) -> Array:
-    """Return the sizes (M, q) of a cause, in reading units per unit of its column.
+def estimate(c: Calibration, cause: Cause) -> tuple[Array, Array]:
+    """Return the sizes (M, q) of a cause, in reading units per unit of its column, and columns.
 
-    Outputs that move together have one, (1, q).
+    Outputs that move together have one, (1, q); columns (n, …, q) are in the order of time.
     """
     plan, e, slopes = residuals_in_order(c)
     assert plan is not None
-    kind = (cause.code, cause.wholly)
-    family = next(t.family for t in plan.tests if (t.family.code, t.family.wholly) == kind)
+    return _sizes(plan, c, cause, e, slopes), plan.tests[cause.place].family.base
+
+
+def _sizes(plan: Plan, c: Calibration, cause: Cause, e: Array, slopes: Array) -> Array:
+    family = plan.tests[cause.place].family
     after = np.ones(len(e))
     if cause.row is not None:
         after[: int(np.flatnonzero(plan.order == cause.row)[0])] = 0.0

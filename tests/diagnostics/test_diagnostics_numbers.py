@@ -851,42 +851,6 @@ class Rows(SimpleNamespace):
         return len(self.values)
 
 
-def test_columns_of_causes_by_hand():
-    """Rows in the order of time: 4, 0, 6, 2, 1, 5, 3 of seven, of two terms an output."""
-    rng = np.random.default_rng(5)
-    time = np.array([2.0, 11.0, 7.5, 19.0, 0.5, 13.0, 3.5])
-    order = np.argsort(time)
-    f, phi, rotation = rng.normal(size=(7, 3)), rng.normal(size=(7, 2)), rng.normal(size=(7, 3, 3))
-    approach = np.array([1.0, -1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
-    sd = np.full((7, 2), 0.3)
-    sd[2] = 0.3 * 2.01
-    readings = Rows(
-        values=f, environment={"time": time, "approach": approach}, sd=sd, rotation=rotation,
-        up=None,
-    )  # fmt: skip
-    c = SimpleNamespace(readings=readings, reference=f, model=SimpleNamespace(basis=lambda *_: phi))
-    families = row_order._families(c, 2)
-    assert [(each.code, each.steps.tolist()) for each in families] == [
-        ("drift", [0]), ("replaced", [2, 3, 4]), ("slipped", [2, 3, 4]), ("replaced", [3]),
-        ("settling", [0]), ("hysteresis", [0]), ("vibration", [0]), ("level", [0]),
-    ]  # fmt: skip
-    drift, one, slipped, every, settling, by_approach, vibration, level = (x.base for x in families)
-    assert_allclose(drift[:, 0], time[order] - time.mean())
-    assert (one == 1.0).all()
-    K, omega = rng.normal(size=(2, 3)), rng.normal(size=3)
-    for k, row in enumerate(order):
-        assert_allclose(K @ slipped[k] @ omega, K @ np.cross(omega, f[row]))
-        held = f[order[max(k - 1, 0)]] - f[row]
-        assert_allclose(settling[k, :, 0], held)
-    assert_allclose(every, phi[order])
-    assert_allclose(by_approach[:, 0], approach[order])
-    assert_allclose(vibration[:, 0], 2.0 * sd[order, 0] ** 2)
-    assert_allclose(level, rotation[order][:, :, :2])
-    sd[2] = 0.3 * 1.99
-    assert "vibration" not in [each.code for each in row_order._families(c, 2)]
-    assert [each.wholly for each in row_order._families(c, 3)].count(True) == 0
-
-
 def test_slopes_of_a_plan_are_rounded_and_weighed_by_powers_of_two():
     """To a twentieth of each response; of responses over sd relative to their mean."""
     S = np.array([[1.0, 0.13, -0.06], [0.2, 7.0, 0.0], [0.01, 0.0, 2.1]])

@@ -50,11 +50,8 @@ def rows(count, **more):
 @pytest.mark.parametrize(
     ("code", "sizes", "more", "said"),
     [
-        # the largest of the outputs, over four steps or the whole of time
+        # the largest of the outputs, over four steps
         ("drift", [[2e-3], [-5e-3], [1e-3]], {}, "drift by 0.02 V from"),
-        ("drift", [[2e-3], [-5e-3], [1e-3]], {"time": [3.0, 9.0, 1.0, 4.0, 11.0]}, "by 0.05 V"),
-        ("drift", [[2e-3], [-5e-3], [1e-3]], {"time": [3.0, 9.0, 1.0, np.nan, 11.0]}, "by 0.02 V"),
-        ("drift", [[2e-3], [-5e-3], [1e-3]], {"time": [7.0] * 5}, "by 0.02 V"),
         ("slipped", np.radians([[0.2, -0.3, 0.6]]), {"row": 3}, "from row r3 on the case is rot"),
         ("slipped", np.radians([[0.2, -0.3, 0.6]]), {"row": 3}, "by 0.7 degrees"),
         ("replaced", [[0.02], [-0.05]], {"row": 2}, "row r2 on readings have other biases, by up "),
@@ -66,16 +63,16 @@ def rows(count, **more):
     ],
 )
 def test_the_size_of_a_cause_is_said(code, sizes, more, said):
-    environment = {"time": np.array(more["time"])} if "time" in more else {}
-    c = SimpleNamespace(readings=rows(5, environment=environment), model=SimpleNamespace(unit="V"))
+    c = SimpleNamespace(readings=rows(5), model=SimpleNamespace(unit="V"))
     cause = row_order.Cause(code, 9.0, 1e-3, more.get("row"))
-    assert said in examination._SAID[code](c, cause, np.array(sizes))[0]
+    columns = np.arange(5.0)[:, None]
+    assert said in examination._SAID[code](c, cause, np.array(sizes), columns)[0]
 
 
 def test_all_readings_after_an_exchange_are_others():
     c = SimpleNamespace(readings=rows(9), model=SimpleNamespace(unit="V"))
-    cause = row_order.Cause("replaced", 9.0, 1e-3, 4, wholly=True)
-    text, action, named = examination._SAID["replaced"](c, cause, np.ones((3, 4)))
+    cause = row_order.Cause("replaced", 9.0, 1e-3, 4)
+    text, action, named = examination._SAID["replaced"](c, cause, np.ones((3, 4)), np.ones((9, 4)))
     assert ("biases" in text, named) == (False, ("r4",))
     assert "before r4 and those from it on" in action
 
@@ -87,7 +84,9 @@ def test_rests_that_vibrate_are_twice_as_loud_as_the_median():
         readings=rows(5, sd=np.array([3.0, 4.0]) * size[:, None]), model=SimpleNamespace(unit="V")
     )
     cause = row_order.Cause("vibration", 9.0, 1e-3)
-    text, _, named = examination._SAID["vibration"](c, cause, np.array([[-2.0], [1.5]]))
+    text, _, named = examination._SAID["vibration"](
+        c, cause, np.array([[-2.0], [1.5]]), size[:, None]
+    )
     assert named == ("r1",)
     assert f"by up to {2.0 * 10.1**2:.2g} V" in text
 
