@@ -529,7 +529,9 @@ def _examined(
     found = _answers(OF_COLUMNS, calibration)
     if not found:
         found += gross_errors.explained(calibration)
-    found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
+    named = {each.code for each in found}
+    cautions = _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
+    found += [each for each in cautions if each.code not in named]
     if not errors_of(found):
         residuals = cache(partial(residuals_of, calibration))
         beyond = outlier(calibration, sought=sought)

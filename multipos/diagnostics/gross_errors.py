@@ -10,7 +10,7 @@ are tried on it (`repairs`), and where none explains the data, it is asked wheth
 signal at all: residuals as large as what the outputs respond to one g, or an output that does
 not respond to its own axis. A sensor that has a signal is then asked for its directions and units.
 
-**Acceptance.** A repair leaves a misfit rho' where there was rho, eq. (4) of `repairs`. It is
+**Acceptance.** A repair leaves a misfit rho' where there was rho, eq. (5) of `repairs`. It is
 accepted where
 
     N (rho'/rho)^nu < alpha,    nu = M (n − r),                                              (1)
@@ -33,9 +33,11 @@ where a step was fitted, and J the product of the factors by which readings were
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
+from multipos.diagnostics.columns import repeated_rows
 from multipos.diagnostics.repairs import Repair, View, candidates, look
 from multipos.diagnostics.scales import (
     CLEAR,
@@ -64,7 +66,7 @@ _LEFT = 0.15  # rho' at most
 _STICKS_OUT = 1e-4  # chance
 # [g], by which one row must be off at least to be a gross error and not an outlier; a factor of 9.8
 # takes .9 g less a bias. Rows beside it may be as little off as the other side of the horizon is.
-_BY_ROWS = {"flipped-row": 0.8, "wrapped": 0.8, "row-unit": 0.6}
+_BY_ROWS = {"flipped-row": 0.8, "flipped-direction": 0.6, "wrapped": 0.8, "row-unit": 0.6}
 _TIE = 1.5  # repairs whose misfits are within this factor fit as well as each other
 
 
@@ -159,6 +161,9 @@ def explained(c: Calibration) -> tuple[Finding, ...]:
     """Return what is grossly wrong with the fit as a whole: the repair, or the fact as it is."""
     if _is_calm(c):
         return ()
+    copied = _copied(c)
+    if copied is not None:
+        return (copied,)
     silent = _silent(c)
     if silent is not None:
         return (silent,)
@@ -212,6 +217,16 @@ def _bends(c: Calibration, sizes: dict[str, float]) -> bool:
         term.force_degree > 1 and abs(value) > 10.0 * _SUSPICIOUS * sizes[output]
         for (output, term), value in zip(c.model.keys, c.parameters.tolist(), strict=True)
     )
+
+
+def _copied(c: Calibration) -> Finding | None:
+    """Find a row that is the copy of another and fits worst of all."""
+    found = repeated_rows(c)
+    if found is None or not c.estimator.exact:
+        return None
+    size = np.linalg.norm(c.residuals, axis=1)
+    worst = c.readings.labels[int(np.argmax(size))]
+    return replace(found, rows=(worst,)) if worst in found.rows else None
 
 
 def _silent(c: Calibration) -> Finding | None:
@@ -292,7 +307,12 @@ def _in_words(c: Calibration, repair: Repair) -> Finding:
     if repair.code == "interchanged-rows" and len(rows) == len(labels):
         text = f"rows follow the positions in the order 'spread': matched so, {after}"
         return Finding("interchanged-rows", "error", text, "Fit with --order spread.")
+    if repair.code == "flipped-row" and outputs:
+        text = f"{quoted(outputs)} of {named} has the wrong sign: reversed, {after}"
+        return Finding("flipped-row", "error", text, "Correct the sign.", rows, outputs)
     texts = {
+        "flipped-direction": f"the direction of {named} has the wrong sign along "
+        f"{COMPONENTS[repair.component]}: reversed, {after}",
         "interchanged-rows": f"{named} are probably interchanged: with readings exchanged, {after}",
         "flipped-row": f"{named} {count} listed upside down: with the direction reversed, {after}",
         "row-unit": f"{named} {count} in another unit, {factor_in_words(repair.size)}: converted, "
@@ -302,6 +322,7 @@ def _in_words(c: Calibration, repair: Repair) -> Finding:
         "angles-in-radians": f"angles in columns named _deg are probably radians: read so, {after}",
     }
     actions = {
+        "flipped-direction": "Correct the sign in the list.",
         "interchanged-rows": "Exchange their readings, or measure both again.",
         "flipped-row": "Reverse the direction in the list, or measure again.",
         "row-unit": "Convert all rows to one unit.",

@@ -14,10 +14,15 @@ the projector on the residuals, r = M y,
 
     rss' = rss + 2 d (v·r) + d² v'Mv.                                                       (1)
 
+One row k with columns x and residual e may have had others, x' and y'. With G = (X'X)⁻¹, β the
+coefficients and h = x'Gx its leverage, the other rows leave rss − e²/(1 − h), and it adds
+
+    r²/v,    r = y' − x''β + (x''Gx) e/(1 − h),    v = 1 + x''Gx' + (x''Gx)²/(1 − h).       (2)
+
 **Another unit.** Wherever a triad at rest points, its readings are of one size, but for bias and
 scale factors:
 
-    |y_k| = |b + K f_k|,    a third to three times the median for a bias below half a g.    (2)
+    |y_k| = |b + K f_k|,    a third to three times the median for a bias below half a g.    (3)
 
 A row beyond that by a factor that two units have between them is in another one. Such a row leaves
 no ellipsoid on which the readings could lie, so the estimator fails, and this says why.
@@ -25,12 +30,12 @@ no ellipsoid on which the readings could lie, so the estimator fails, and this s
 **The linear view** is the plainest picture there is, whatever model was fitted and however
 uncertain the positions were: least squares of
 
-    y_k = b + K u_k,                                                                        (3)
+    y_k = b + K u_k,                                                                        (4)
 
 with u the reference as listed [g], y (M,) the readings, b and K (M, 3), and terms of other
 columns beside them where the model has any. What no linear sensor explains is measured by
 
-    rho = sqrt(mean over outputs of  s_i² / |K_i|²),                                        (4)
+    rho = sqrt(mean over outputs of  s_i² / |K_i|²),                                        (5)
 
 s_i the residual standard deviation of output i and |K_i| its response to one g: the residual
 as a share of the signal. Misplacement by two degrees makes it .035, noise alone about 1.
@@ -39,6 +44,7 @@ Sensor models of second and third order change it by their own size, a percent o
 
 from collections.abc import Callable, Iterator
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,7 +62,7 @@ _RANK = 1e-9  # of the largest singular value: columns of a roll that stays in o
 
 @frozen
 class View:
-    """Readings under eq. (3).
+    """Readings under eq. (4).
 
     Attributes
     ----------
@@ -79,12 +85,12 @@ class View:
 
     @property
     def basis(self) -> Array:
-        """An orthonormal basis (n, r) of what eq. (3) can give."""
+        """An orthonormal basis (n, r) of what eq. (4) can give."""
         return self._decomposed[0]
 
     @cached_property
     def residuals(self) -> Array:
-        """What eq. (3) leaves (n, M)."""
+        """What eq. (4) leaves (n, M)."""
         basis = self.basis
         return np.asarray(self.values - basis @ (basis.T @ self.values))
 
@@ -109,7 +115,7 @@ class View:
 
     @cached_property
     def misfit(self) -> float:
-        """rho of eq. (4); NaN without degrees of freedom."""
+        """rho of eq. (5); NaN without degrees of freedom."""
         if self.dof <= 0:
             return float("nan")
         squares = np.sum((self.residuals / self.response) ** 2, axis=0)
@@ -196,6 +202,7 @@ FACTORS = (
     np.pi / 180.0,
 )
 _TAKEN = 0.1  # of the step of a converter, that a signal spans at least which ran over its end
+_LEVEL = 0.05  # of a direction or reading [g], below which its sign says too little
 _ROWS = 60  # of those that fit worst, among which one or two are looked for
 _TURNS = 12  # of an alternation between rows and fit
 
@@ -222,6 +229,8 @@ class Repair:
         Whether a number was fitted for each changed output, as the step of a converter is.
     shrunk : float
         The logarithm of the factors by which readings became smaller, summed.
+    component : int
+        Of the direction, whose sign is wrong; −1 where the direction is right.
     """
 
     code: str
@@ -232,6 +241,7 @@ class Repair:
     tried: int = 1
     fitted: bool = False
     shrunk: float = 0.0
+    component: int = -1
 
 
 def candidates(view: View, guess: Array, *, slight: bool = False) -> tuple[list[Repair], int]:
@@ -250,10 +260,8 @@ def candidates(view: View, guess: Array, *, slight: bool = False) -> tuple[list[
     found, tried = _interchanges(view, rows)
     if slight:
         return [*found, *_radians(view)], tried + (len(FACTORS) + 1) * len(rows)
-    for kind in (_single_factors, _single_flips):
-        repairs, count = kind(view, rows)
-        found += repairs
-        tried += count
+    repairs, count = _single_rows(view, rows)
+    found, tried = found + repairs, tried + count
     several = [
         *_other_order(view),
         *_many_flips(view, guess),
@@ -315,46 +323,87 @@ def _other_order(view: View) -> Iterator[Repair]:
         yield Repair("interchanged-rows", tuple(range(len(rows))), again)
 
 
-def _single_factors(view: View, rows: Rows) -> tuple[list[Repair], int]:
-    """Return the best repairs of one row in another unit, by eq. (1)."""
+class _Other(NamedTuple):
+    """What a row may have been: its columns (K, p) and readings (K, M) for K rows."""
+
+    code: str
+    columns: Array
+    values: Array
+    possible: Mask
+    outputs: tuple[int, ...] = ()
+    component: int = -1
+    size: float = 1.0
+
+
+def _others(view: View, rows: Rows) -> Iterator[_Other]:
+    """Yield all that single rows may have been: upside down, of another sign, or unit."""
+    even, odd, y = view.even[rows], view.odd[rows], view.values[rows]
+    as_listed, every = np.hstack([even, odd]), np.ones(len(rows), dtype=np.bool_)
+    yield _Other("flipped-row", np.hstack([even, -odd]), y, every)
+    yield _Other("flipped-row", as_listed, -y, every)
+    slanted = np.sum(np.abs(odd[:, :3]) > _LEVEL, axis=1) > 1
+    for component in range(3):
+        turned = odd.copy()
+        turned[:, component] *= -1.0
+        possible = slanted & (np.abs(odd[:, component]) > _LEVEL)
+        columns = np.hstack([even, turned])
+        yield _Other("flipped-direction", columns, y, possible, component=component)
+    for output in range(y.shape[1] if y.shape[1] > 1 else 0):
+        values = y.copy()
+        values[:, output] *= -1.0
+        possible = np.abs(y[:, output]) > _LEVEL * view.response[output]
+        yield _Other("flipped-row", as_listed, values, possible, outputs=(output,))
+    for factor in FACTORS:
+        yield _Other("row-unit", as_listed, factor * y, every, size=factor)
+
+
+def _single_rows(view: View, rows: Rows) -> tuple[list[Repair], int]:
+    """Return the best of what each kind of change explains in one row.
+
+    By eq. (2), of what the rows may have been.
+    """
+    X = np.hstack([view.even, view.odd])
+    G = np.linalg.pinv(X.T @ X, rcond=_RANK, hermitian=True)
+    beta = G @ (X.T @ view.values)
+    x, e = X[rows], view.residuals[rows]
     rss, weight = _squares(view)
-    M, e, y = _projector(view, rows), view.residuals[rows], view.values[rows]
-    gain = np.array(FACTORS)[:, None, None] - 1.0
-    d = gain * y
-    total = (rss + 2.0 * d * e + d**2 * np.diag(M)[:, None]) @ weight
-    found = []
-    for place in np.argsort(total, axis=None)[:3].tolist():
-        k, i = divmod(place, len(rows))
-        values = view.values.copy()
-        values[rows[i]] *= FACTORS[k]
-        found.append(
-            Repair(
-                "row-unit",
-                (int(rows[i]),),
-                view.with_values(values),
-                size=1.0 / FACTORS[k],
-                tried=total.size,
-                shrunk=-float(np.log(FACTORS[k])) * values.shape[1],
-            )
-        )
-    return found, total.size
+    left = np.maximum(1.0 - np.einsum("kp,pq,kq->k", x, G, x), _RANK)[:, None]
+    rest = rss - e**2 / left
+    best: dict[tuple[str, tuple[int, ...]], tuple[float, int, _Other]] = {}
+    tried = 0
+    for other in _others(view, rows):
+        across = np.einsum("kp,pq,kq->k", other.columns, G, x)[:, None]
+        own = np.einsum("kp,pq,kq->k", other.columns, G, other.columns)[:, None]
+        off = other.values - other.columns @ beta + across * e / left
+        total = (rest + off**2 / (1.0 + own + across**2 / left)) @ weight
+        total[~other.possible] = np.inf
+        tried += int(other.possible.sum())
+        place = int(np.argmin(total))
+        key = other.code, other.outputs[:0]
+        if total[place] < best.get(key, (np.inf, 0, other))[0]:
+            best[key] = float(total[place]), place, other
+    found = [_as_repair(view, rows, place, other, tried) for _, place, other in best.values()]
+    return found, tried
 
 
-def _single_flips(view: View, rows: Rows) -> tuple[list[Repair], int]:
-    """Return the best repairs of one row upside down, from the normal equations of each."""
-    design = np.hstack([view.even, view.odd])
-    turned = np.hstack([view.even, -view.odd])
-    values = view.values - view.values.mean(axis=0)
-    X, Z, y = design[rows], turned[rows], values[rows]
-    normal = design.T @ design + Z[:, :, None] * Z[:, None] - X[:, :, None] * X[:, None]
-    right = design.T @ values + (Z - X)[:, :, None] * y[:, None]
-    beta = np.linalg.pinv(normal, hermitian=True, rcond=1e-12) @ right
-    residual = values - design @ beta
-    residual[np.arange(len(rows)), rows] = y - (Z[:, None] @ beta)[:, 0]
-    total = np.sum(residual**2, axis=1) @ _squares(view)[1]
-    best = rows[np.argsort(total)[:3]].tolist()
-    found = [Repair("flipped-row", (i,), view.turned(np.array([i])), tried=len(rows)) for i in best]
-    return found, len(rows)
+def _as_repair(view: View, rows: Rows, place: int, other: _Other, tried: int) -> Repair:
+    """Return the repair of one row."""
+    row, first = int(rows[place]), view.even.shape[1]
+    values, odd = view.values.copy(), view.odd.copy()
+    values[row], odd[row] = other.values[place], other.columns[place, first:]
+    again = View(view.even, odd, values)
+    if (odd == view.odd).all():
+        again = view.with_values(values)
+    return Repair(
+        other.code,
+        (row,),
+        again,
+        other.outputs,
+        size=1.0 / other.size,
+        tried=tried,
+        shrunk=-float(np.log(other.size)) * values.shape[1],
+        component=other.component,
+    )
 
 
 def _many_flips(view: View, guess: Array) -> Iterator[Repair]:
@@ -586,7 +635,7 @@ def refuse_drowned(readings: Readings) -> None:
 
 
 def rows_in_another_unit(readings: Readings) -> tuple[tuple[str, ...], float]:
-    """Return the labels of rows by eq. (2), and the factor; none where no factor is known."""
+    """Return the labels of rows by eq. (3), and the factor; none where no factor is known."""
     size = np.linalg.norm(readings.values, axis=1)
     middle = float(np.sort(size)[(len(size) - 1) // 2])  # of halves the smaller
     if not middle > SMALLEST * float(size.max()):

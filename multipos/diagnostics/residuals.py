@@ -30,6 +30,7 @@ from dataclasses import replace
 import numpy as np
 
 from multipos.diagnostics.columns import repeated_rows
+from multipos.diagnostics.repairs import look
 from multipos.diagnostics.score_tests import significant
 from multipos.diagnostics.variances import (
     LEVEL,
@@ -66,7 +67,7 @@ _SHOWN = 4
 _NAMED = 2  # outlying readings in one sentence
 _GROSS = 100.0  # times that residuals are smaller without rows that nobody should use
 _ENOUGH = 3  # degrees of freedom without them
-_SIGN = 0.2  # of an error: how near twice the reading it is where a sign was lost
+_SIGN = 0.05  # of an error: how near twice the reading it is where a sign was lost
 
 
 def outlier(c: Calibration, *, sought: bool = False) -> Finding | None:
@@ -135,16 +136,26 @@ def _outlying(c: Calibration, found: Outlying) -> Finding:
     one = len(pairs) == 1
     said = f"position {said} deviates" if one else f"positions {said}{more} deviate"
     named = ",".join(dict.fromkeys(labels))
-    lost = _signs_lost(c, found)
-    if lost:
-        cells = ", ".join(f"{output} of position {label}" for label, output in lost)
+    signs, components = _signs_lost(c, found)
+    if components:
+        along = ", ".join(f"{label} along {axis}" for label, axis in components)
+        return Finding(
+            "flipped-direction",
+            "error" if gross else "warning",
+            f"the direction has the wrong sign at position {along}: reversed, it agrees with the "
+            "other readings",
+            f"Correct the sign in the list, or set aside with --exclude {named}.",
+            rows=tuple(dict.fromkeys(labels)),
+        )
+    if signs:
+        cells = ", ".join(f"{output} of position {label}" for label, output in signs)
         return Finding(
             "flipped-row",
             "error" if gross else "warning",
             f"{cells} has the wrong sign: reversed, it agrees with the other readings",
             f"Correct the sign, or set aside with --exclude {named}.",
             rows=tuple(dict.fromkeys(labels)),
-            outputs=tuple(dict.fromkeys(output for _, output in lost)),
+            outputs=tuple(dict.fromkeys(output for _, output in signs)),
         )
     lower = f"; residuals without are {found.ratio:.2g} times smaller" if gross else ""
     return Finding(
@@ -156,20 +167,39 @@ def _outlying(c: Calibration, found: Outlying) -> Finding:
     )
 
 
-def _signs_lost(c: Calibration, found: Outlying) -> list[tuple[str, str]]:
-    """Return the labels and outputs whose signs, turned, explain all outliers; none otherwise."""
-    if found.errors is None:
-        return []
-    values = c.readings.values[found.rows]
-    # Twice the reading is what a sign is off by, to a twentieth, biases of a few percent included.
-    turned = np.abs(found.errors - 2.0 * values) < _SIGN * np.abs(found.errors)
-    size = np.linalg.norm(found.errors, axis=1, keepdims=True)
-    if not (turned | (np.abs(found.errors) < _SIGN * size)).all():
-        return []
-    return [
-        (c.readings.labels[found.rows[row]], c.outputs[column])
-        for row, column in np.argwhere(turned & (np.abs(found.errors) >= _SIGN * size)).tolist()
-    ]
+_Signs = list[tuple[str, str]]
+
+
+def _signs_lost(c: Calibration, found: Outlying) -> tuple[_Signs, _Signs]:
+    """Return the labels and outputs, or axes of directions, whose signs explain all outliers.
+
+    Of what the other rows predict, a reading that lost its sign is off by twice itself, and one
+    whose direction is listed with the wrong sign along an axis by K times twice that component.
+    """
+    view = look(c)
+    if view is None:
+        return [], []
+    rows, others = found.rows, np.ones(len(c.readings), dtype=np.bool_)
+    others[rows] = False
+    X = np.hstack([view.even, view.odd])
+    coefficients = np.linalg.lstsq(X[others], view.values[others], rcond=None)[0]
+    first, values = view.even.shape[1], view.values[rows]
+    error = values - X[rows] @ coefficients
+    size = np.linalg.norm(error, axis=1)
+    turned = (np.abs(error - 2.0 * values) < np.abs(error)) & (
+        np.abs(error) > _SIGN * size[:, None]
+    )
+    of_signs = np.linalg.norm(error - 2.0 * values * turned, axis=1)
+    moved = 2.0 * X[rows, first : first + 3, None] * coefficients[None, first : first + 3]
+    by_axis = np.linalg.norm(error[:, None] + moved, axis=2)
+    axis = by_axis.argmin(axis=1)
+    of_axes = by_axis[np.arange(len(rows)), axis]
+    labels = [c.readings.labels[row] for row in rows.tolist()]
+    if (of_axes < _SIGN * size).all() and of_axes.sum() < of_signs.sum():
+        return [], [(label, COMPONENTS[i]) for label, i in zip(labels, axis.tolist(), strict=True)]
+    if not (of_signs < _SIGN * size).all():
+        return [], []
+    return [(labels[row], c.outputs[i]) for row, i in np.argwhere(turned).tolist()], []
 
 
 def lack_of_fit(c: Calibration) -> Finding | None:

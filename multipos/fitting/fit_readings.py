@@ -350,7 +350,7 @@ def _repaired(
     if found or not apart.any():
         return found
     outlying = outlier_of_rows(whole)
-    if outlying is None or outlying.code != "flipped-row":
+    if outlying is None or outlying.code == "outlier":
         return ()
     of_sign = (replace(outlying, action="Correct the sign."),)
     return of_sign if _are_apart(of_sign, readings.labels, apart) else ()

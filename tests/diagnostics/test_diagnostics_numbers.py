@@ -40,12 +40,10 @@ from multipos.diagnostics.repairs import (
     _many_factors,
     _many_flips,
     _radians,
-    _single_flips,
-    _squares,
     _wrap_of,
     look,
 )
-from multipos.diagnostics.residuals import _separable, _signs_lost
+from multipos.diagnostics.residuals import _separable
 from multipos.diagnostics.row_order import _correlation, _judge_slow, _limit, _traces
 from multipos.diagnostics.scales import (
     _stands_apart,
@@ -116,20 +114,6 @@ def test_slow_noise_is_judged_by_a_chi_square_of_its_first_moments(beside, monke
 
 
 # --- repairs
-
-
-def test_the_row_upside_down_is_the_best_of_all_turned_one_by_one():
-    values = readings()
-    values[5] = 0.3 - UP[5] @ K.T
-    view = view_of(values)
-    weight = _squares(view)[1]
-    assert_allclose(weight, 1.0 / values.var(axis=0))
-    total = [np.sum(view.turned(np.array([i])).residuals ** 2, axis=0) @ weight for i in range(14)]
-    rows = np.array([0, 3, 5, 8, 9, 12])
-    repairs, tried = _single_flips(view, rows)
-    best = rows[np.argsort(np.array(total)[rows])[:3]]
-    assert ([r.rows[0] for r in repairs], tried) == (best.tolist(), 6)
-    assert best[0] == 5
 
 
 def test_several_rows_upside_down_are_found_from_a_guess():
@@ -553,23 +537,6 @@ def test_unequal_outputs_are_preferred_at_a_hundredth(gain, better):
     unequal = Explained(np.zeros((1, 3)), np.array([50.0 - gain]))
     assert prefers_unequal(equal, unequal)[0] == better
     assert not prefers_unequal(equal, Explained(np.zeros((1, 1)), np.array([-1e9])))[0]
-
-
-def test_signs_that_were_lost_are_twice_the_reading():
-    values = np.array([[0.5, -0.4, 0.8], [0.1, 0.6, -0.7], [0.3, 0.3, 0.9]])
-    c = SimpleNamespace(
-        readings=SimpleNamespace(values=values, labels=("p", "q", "r")), outputs=("a", "b", "c")
-    )
-
-    def errors(*rows):
-        return SimpleNamespace(rows=np.array([0, 2]), errors=np.array(rows))
-
-    good = errors([0.01, -0.01, 1.35], [-0.03, 0.0, 1.52])
-    assert _signs_lost(c, good) == [("p", "c"), ("r", "c")]
-    assert _signs_lost(c, errors([0.01, -0.01, 1.32], [0.0, 0.0, 1.8])) == []
-    assert _signs_lost(c, errors([0.4, -0.01, 1.6], [0.0, 0.0, 1.8])) == []
-    assert _signs_lost(c, errors([0.2, -0.01, 1.6], [0.0, 0.0, 1.8])) == [("p", "c"), ("r", "c")]
-    assert _signs_lost(c, SimpleNamespace(errors=None)) == []
 
 
 def test_what_whitens_residuals_and_how_much_they_count():
@@ -1216,7 +1183,7 @@ def test_repairs_that_are_tried(slight, monkeypatch):
     def pairs(name, count):
         return lambda view, rows: asked.update({name: rows}) or ([name], count)
 
-    for name, count in (("_interchanges", 100), ("_single_factors", 20), ("_single_flips", 3)):
+    for name, count in (("_interchanges", 100), ("_single_rows", 23)):
         monkeypatch.setattr(repairs, name, pairs(name, count))
     for name in ("_other_order", "_many_factors", "_wrapped", "_radians"):
         monkeypatch.setattr(repairs, name, lambda view, name=name: [name, name])
@@ -1232,9 +1199,9 @@ def test_repairs_that_are_tried(slight, monkeypatch):
         assert found == ["_interchanges", "_radians", "_radians"]
         assert tried == 100 + (len(repairs.FACTORS) + 1) * 60
     else:
-        assert found[:3] == ["_interchanges", "_single_factors", "_single_flips"]
-        assert (len(found), tried, found[5]) == (12, 100 + 20 + 3 + 9, "guess")
-        assert asked["_single_flips"].tolist() == rows.tolist()
+        assert found[:2] == ["_interchanges", "_single_rows"]
+        assert (len(found), tried, found[4]) == (11, 100 + 23 + 9, "guess")
+        assert asked["_single_rows"].tolist() == rows.tolist()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from multipos.diagnostics.repairs import (
     Repair,
     View,
     _interchanges,
-    _single_factors,
+    _single_rows,
     _wrapped,
     look,
     rows_in_another_unit,
@@ -61,6 +61,14 @@ def far(values, up):
 
 def flip(values, up):
     up[2] *= -1.0
+
+
+def slant(values, up):
+    up[-1, 1] *= -1.0
+
+
+def negate(values, up):
+    values[2, np.argmax(np.abs(values[2]))] *= -1.0
 
 
 def flip_half(values, up):
@@ -121,6 +129,8 @@ PLANTED = [
         ("interchanged-rows", swap),
         ("flipped-row", flip),
         ("flipped-row", flip_half),
+        ("flipped-row", negate),
+        ("flipped-direction", slant),
         ("row-unit", one_row),
         ("row-unit", half),
         ("output-unit", one_output),
@@ -136,7 +146,7 @@ PLANTED = [
     )
     for scheme in ("song-qin-6", "all-26")
     # of opposite faces half the rows leave nothing to tell, and a wrap by 2 g looks upside down
-    if scheme == "all-26" or edit not in (flip_half, wrap)
+    if scheme == "all-26" or edit not in (flip_half, wrap, negate, slant)
 ]
 
 
@@ -261,7 +271,7 @@ def test_copies_are_told_from_repeats():
 
 
 def test_the_linear_view_is_least_squares():
-    # eqs. (3), (4) of diagnostics.repairs
+    # eqs. (4), (5) of diagnostics.repairs
     up = mp.read_scheme("all-26").up
     values = sense(up)
     view = look(mp.fit(mp.Readings(values, up=up), model="ieee"))
@@ -365,9 +375,40 @@ def test_repairs_of_rows_are_the_best_of_all_that_one_may_try():
     values[[2, 7]] = values[[7, 2]]
     values[5] *= 9.80665
     view = View(np.ones((12, 1)), up, values)
-    best = _single_factors(view, np.arange(12))[0][0]
+    best = next(e for e in _single_rows(view, np.arange(12))[0] if e.code == "row-unit")
     assert (best.rows, best.shrunk) == ((5,), pytest.approx(3.0 * math.log(9.80665)))
     assert best.size == pytest.approx(9.80665)
+
+
+@pytest.mark.parametrize(("code", "output"), [("flipped-direction", None), ("flipped-row", 1)])
+def test_a_change_of_one_row_is_the_best_of_all_refits(code, output):
+    """Every sign of a direction's component, or of a reading, turned in every row and refitted."""
+    # eq. (2) of diagnostics.repairs
+    rng = np.random.default_rng(6)
+    up = rng.permutation(mp.read_scheme("fibonacci-12").up)
+    values = 0.02 + up @ MATRIX.T + 0.01 * rng.standard_normal(up.shape)
+    if output is None:
+        up[4, 1] *= -1.0
+    else:
+        values[4, output] *= -1.0
+
+    def total(up, values):
+        X = np.column_stack([np.ones(12), up])
+        left = values - X @ np.linalg.lstsq(X, values, rcond=None)[0]
+        return float(np.sum(left**2, axis=0) @ (1.0 / weight))
+
+    weight, sums = np.var(values, axis=0), {}
+    for k, i in np.ndindex(12, 3):
+        signs = np.ones((12, 3))
+        signs[k, i] = -1.0
+        sums[k, i] = total(up * signs, values) if output is None else total(up, values * signs)
+    found = _single_rows(View(np.ones((12, 1)), up, values), np.arange(12))[0]
+    (best,) = (each for each in found if each.code == code)
+    assert best.rows == (min(sums, key=sums.__getitem__)[0],) == (4,)
+    assert (best.component if output is None else best.outputs) == (1 if output is None else (1,))
+    assert np.sum(best.view.residuals**2, axis=0) @ (1.0 / weight) == pytest.approx(
+        min(sums.values()), rel=1e-9
+    )
 
 
 def test_which_axes_outputs_face_by_hand():
@@ -380,7 +421,7 @@ def test_which_axes_outputs_face_by_hand():
 
 def test_rows_of_another_unit_by_their_size():
     """A bias of .49 g leaves sizes of .51 to 1.49: none is in another unit; two times 9.8 are."""
-    # eq. (2) of diagnostics.repairs
+    # eq. (3) of diagnostics.repairs
     up = mp.read_scheme("faces-corners-14").up
     values = up + np.array([0.49, 0.0, 0.0])
     assert rows_in_another_unit(mp.Readings(values, up=up)) == ((), 1.0)

