@@ -45,10 +45,9 @@ from multipos.diagnostics.residuals import (
     outlying_rows,
     rejected_noise,
     residuals_of,
-    understated_orientations,
     unequal_noise,
 )
-from multipos.diagnostics.variances import Residuals, explain_unequal
+from multipos.diagnostics.variances import Residuals, deviances_of
 from multipos.estimation.gains import AtSolution, estimator_gain, information_at_solution
 from multipos.estimation.run_zeros import without_zeros
 from multipos.files.numbers import p_in_words
@@ -278,8 +277,8 @@ def _score(
     if finding.code == "missing-term":
         return score_tests.score_of_term(c, c.diagnostics.model_tests)
     if finding.code == "placement":
-        of = residuals()
-        gain = float((explain_unequal(of).deviance - of.oriented.deviance)[0])
+        _, unequal, oriented = deviances_of(residuals())
+        gain = float(unequal[0] - oriented[0])
         return float(gain - (2.0 - m) * math.log(freedom))
     if finding.code == row_order.SLOW:
         return row_order.slow_score(c)
@@ -440,7 +439,6 @@ OF_RESIDUALS: tuple[Callable[..., Finding | None], ...] = (
     lack_of_fit,
     rejected_noise,
     orientation_error,
-    understated_orientations,
     unequal_noise,
     effective_number,
 )

@@ -2,9 +2,9 @@
 
 `outlier` finds positions that stick out, `outlying_rows` and `outlier_of_rows` rows that do,
 `lack_of_fit` outputs whose repeats agree too well, and `effective_number` rows that count as fewer.
-`rejected_noise` finds a stated noise that residuals reject, `orientation_error` and
-`understated_orientations` orientation errors beyond it, and `unequal_noise` outputs that differ, by
-`judge_equality` and `score_equality`. `residuals_of` are those of a calibration.
+`rejected_noise` finds a stated noise that residuals reject, `orientation_error` orientation errors,
+and `unequal_noise` outputs that differ, by `judge_equality` and `score_equality`. `residuals_of`
+are those of a calibration.
 
 - Repeats scatter less than the model misses their means (lack of fit, an F test of the fit).
 - Rows whose correlation U follows from count as fewer. What else residuals show in the order of
@@ -25,7 +25,6 @@ score of ln v_i and its information are
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -35,16 +34,10 @@ from multipos.diagnostics.score_tests import significant
 from multipos.diagnostics.variances import (
     LEVEL,
     TELLING,
-    Explained,
     Residuals,
     across_the_force,
-    explain_equal,
-    explain_orientations,
-    explain_unequal,
-    hints_at_orientations,
-    least_deviance,
-    prefers_orientations,
-    prefers_unequal,
+    deviances_of,
+    orientation_sd,
 )
 from multipos.estimation.gains import AtSolution, information_at_solution
 from multipos.estimation.known import REJECTED
@@ -59,7 +52,6 @@ from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 
-_GROSSLY = 2.0  # times the orientation sd of the others, which a gross error makes of it
 _LEVEL = 0.01  # at which repeats reject the model, all outputs together
 _ROUNDING = 1e-12  # of a response: residuals that are nothing
 _SINGULAR = 1e-12  # of a determinant, beside the product of its diagonal
@@ -81,8 +73,6 @@ def outlier(c: Calibration, *, sought: bool = False) -> Finding | None:
     found = c.diagnostics.outliers
     noise = c.residual_sd > _ROUNDING * np.linalg.norm(c.sensitivity, axis=1) if found else ()
     if not found or not np.any(noise):
-        return None
-    if understated_orientations(c) is not None:
         return None
     more = f"; and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
     return Finding(
@@ -293,9 +283,7 @@ def orientation_error(
         others = _of_rows(c, kept, c.reference)
         if others is None or not across_the_force(others)[0]:
             return None
-    degrees = _orientation_error(explain_equal(of), of.oriented)
-    if degrees is None:
-        return None
+    degrees = math.degrees(float(orientation_sd(of)[0]))
     return Finding(
         "placement",
         "warning",
@@ -305,59 +293,6 @@ def orientation_error(
         ),
         "Fit with --orientation-sd auto.",
     )
-
-
-def understated_orientations(c: Calibration) -> Finding | None:
-    """Find positions off by more than stated, where some were set aside or do not fit.
-
-    Asked of the others: a gross error of one position is no cause of theirs.
-    """
-    if c.estimator is not Estimator.UNCERTAIN:
-        return None
-    said = {row for each in c.diagnostics.findings if each.code == "set-aside" for row in each.rows}
-    said.update(_named_in(c.diagnostics.outliers, c.readings.labels))
-    sd, up = c.readings.orientation_sd, c.readings.up
-    known = any(each.code == "placement" for each in c.diagnostics.findings)
-    if known or not said or sd is None or up is None:
-        return None
-    kept = np.array([label not in said for label in c.readings.labels])
-    if not _is_triad(c) or not (np.isfinite(sd[kept]) & (sd[kept] > 0.0)).all():
-        return None
-    of = _at_listed(c, kept, up, sd)
-    if of is None or of.contrasts < 1:
-        return None
-    moved, size = explain_orientations(of), math.sqrt(float(np.mean(sd[kept] ** 2)))
-    found = math.sqrt(float(moved.variances[0, 1]))
-    if found <= size:
-        return None
-    gain = least_deviance(of, size**2) - moved.deviance[0]
-    if gain < chi2_quantile(1.0 - 2.0 * LEVEL, 1.0):
-        return None
-    whole = _at_listed(c, np.ones_like(kept), up, sd)
-    assert whole is not None
-    every = math.sqrt(float(explain_orientations(whole).variances[0, 1]))
-    if every < _GROSSLY * found:  # else one of them is a gross error besides
-        found = every
-    degrees, stated = math.degrees(found), math.degrees(size)
-    robust = ", without --robust" if c.robust_weight is not None else ""
-    return Finding(
-        "placement",
-        "warning",
-        (
-            f"residuals suggest orientation errors of {degrees:.2g} degrees (1 sigma), more than "
-            f"the stated {stated:.2g}; positions that do not fit follow from it"
-        ),
-        f"Fit with --orientation-sd auto{robust}.",
-    )
-
-
-def _at_listed(c: Calibration, kept: Mask, up: Array, sd: Array) -> Residuals | None:
-    """Return residuals of rows at their listed positions, whose slopes are larger where sd is."""
-    of = _of_rows(c, kept, c.sign * np.linalg.norm(c.reference, axis=1, keepdims=True) * up)
-    if of is None:
-        return None
-    relative = sd[kept] / np.sqrt(np.mean(sd[kept] ** 2))
-    return replace(of, slopes=of.slopes * relative[:, None, None])
 
 
 def _of_rows(c: Calibration, kept: Mask, reference: Array) -> Residuals | None:
@@ -371,10 +306,7 @@ def _of_rows(c: Calibration, kept: Mask, reference: Array) -> Residuals | None:
         Q = np.linalg.qr(basis[:, own])[0]
         error[:, i] = values[:, i] - Q @ (Q.T @ values[:, i])
     slopes = c.model.force_jacobian(c.parameters, force, columns)
-    stated = np.zeros_like(values)
-    if c.readings.noise is not None:
-        stated = diagonal(c.readings.noise).reshape(c.residuals.shape)[kept]
-    return Residuals(error[None], basis, c.model.columns, slopes[None], force, stated[None])
+    return Residuals(error[None], basis, c.model.columns, slopes[None], force)
 
 
 def unequal_noise(c: Calibration, at_solution: AtSolution | None = None) -> Finding | None:
@@ -422,25 +354,26 @@ def _cause_at_known(c: Calibration) -> tuple[str, str]:
     if not plain or not c.model.has_terms:
         return _EXCESS, _STATE
     of = residuals_of(c)
-    equal, unequal = explain_equal(of), explain_unequal(of)
-    degrees, contrasts = None, 1
-    if _separable(c):
-        contrasts = of.contrasts
-        moved = explain_orientations(of) if hints_at_orientations(of, equal)[0] else equal
-        degrees = None if moved is equal else _orientation_error(equal, moved)
-        if degrees is not None and moved.deviance[0] <= unequal.deviance[0]:
-            size = f"likely orientation errors of {degrees:.2g} degrees"
-            if contrasts >= TELLING:
-                return size, "Fit with --orientation-sd auto."
-            return f"{size} or variation between rests", f"Fit with {_sd(degrees)}."
-    if degrees is None and contrasts < 1:
+    assert c.readings.noise is not None
+    stated = diagonal(c.readings.noise).reshape(c.residuals.shape).mean(axis=0)
+    excess = np.maximum(np.square(c.residual_sd) - stated, 0.0)
+    equal, unequal, oriented = (float(each[0]) for each in deviances_of(of))
+    if _separable(c) and of.contrasts < 1:
         # A turn moves the two outputs across a face, a scatter all three.
-        off = math.sqrt(1.5 * float(np.mean(equal.variances[0] / np.sum(c.sensitivity**2, axis=1))))
+        off = math.sqrt(1.5 * float(np.mean(excess / np.sum(c.sensitivity**2, axis=1))))
         text = "orientation errors and variation between rests cannot be separated"
         return text, f"Add {_sd(math.degrees(off))} if the sensor was positioned by hand."
-    if prefers_unequal(equal, unequal)[0]:
-        sizes = _listed(c.outputs, np.sqrt(unequal.variances[0]).tolist())
-        return f"{_EXCESS}, unequal ({sizes})", _STATE_EACH
+    # on the edge of what s² may be χ² has half its weight at zero
+    turned = _separable(c) and equal - oriented > chi2_quantile(1.0 - 2.0 * LEVEL, 1.0)
+    if turned and oriented <= unequal:
+        degrees = math.degrees(float(orientation_sd(of)[0]))
+        size = f"likely orientation errors of {degrees:.2g} degrees"
+        if of.contrasts >= TELLING:
+            return size, "Fit with --orientation-sd auto."
+        return f"{size} or variation between rests", f"Fit with {_sd(degrees)}."
+    free = len(c.outputs) - 1.0
+    if free and equal - unequal > chi2_quantile(1.0 - LEVEL, free):
+        return f"{_EXCESS}, unequal ({_listed(c.outputs, np.sqrt(excess).tolist())})", _STATE_EACH
     return _EXCESS, _STATE
 
 
@@ -454,9 +387,6 @@ def _sd(degrees: float) -> str:
 
 def residuals_of(c: Calibration) -> Residuals:
     """Return the residuals of a calibration at known positions, as a batch of one."""
-    stated = np.zeros_like(c.residuals)
-    if c.readings.noise is not None:
-        stated = diagonal(c.readings.noise).reshape(c.residuals.shape)
     columns, rows = c.readings.environment, 1 if c.model.is_linear else len(c.residuals)
     return Residuals(
         error=c.residuals[None],
@@ -464,15 +394,7 @@ def residuals_of(c: Calibration) -> Residuals:
         columns=c.model.columns,
         slopes=c.model.force_jacobian(c.parameters, c.reference[:rows], columns)[None],
         force=c.reference,
-        stated=stated[None],
     )
-
-
-def _orientation_error(equal: Explained, moved: Explained) -> float | None:
-    """Return how far positions were off [degrees], where the likelihood prefers that at 1 %."""
-    if not prefers_orientations(equal, moved)[0]:
-        return None
-    return math.degrees(math.sqrt(moved.variances[0, 1]))
 
 
 def judge_equality(c: Calibration, at_solution: AtSolution | None = None) -> tuple[float, Array]:

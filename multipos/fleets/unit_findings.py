@@ -517,7 +517,6 @@ def _off_positions(shared: SharedDesign, parameters: Array, residuals: Array) ->
         columns=model.columns,
         slopes=slopes.transpose(2, 3, 0, 1),
         force=shared.reference,
-        stated=np.zeros((count, n, 3)),
     )
     return across_the_force(of)
 

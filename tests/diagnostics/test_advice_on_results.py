@@ -57,13 +57,6 @@ def plain(values, up=UP, **options):
     return mp.fit(mp.Readings(values, up=up, unit="g"), **options)
 
 
-@follows("placement", "Fit with --orientation-sd auto, without --robust")
-def positions_off_by_twice_what_is_stated(rng):
-    values = sense(rng, moved(rng, np.radians(0.2)))
-    yield plain(values, orientation_sd=0.1, robust="huber", reading_sd=NOISE)
-    yield plain(values, orientation_sd="auto", reading_sd=NOISE)
-
-
 # --- columns, units and signs
 
 

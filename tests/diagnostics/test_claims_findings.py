@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from findings_bench import EXACT, texts, warned
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.optimize import minimize
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 import multipos as mp
-from multipos.diagnostics import residuals, variances
+from multipos.diagnostics import variances
 from multipos.diagnostics.residuals import judge_equality, score_equality
-from multipos.diagnostics.variances import Residuals, explain_equal, explain_orientations
+from multipos.diagnostics.variances import Residuals
 from multipos.positions.scheme import read_scheme
 from tests.diagnostics.test_model_error import BIAS, MATRIX
 
@@ -32,73 +31,6 @@ def told(c, code):
     return [str(finding) for finding in c.findings if finding.code == code]
 
 
-@pytest.mark.parametrize("stated", [0.0, 3e-5])
-@pytest.mark.parametrize("off_deg", [0.0, 0.02, 0.5])
-def test_causes_stand_at_the_minimum_of_the_restricted_likelihood(off_deg, stated):
-    """Against eq. (2) in one dense matrix, by a search without slopes."""
-    # eqs. (1), (2), (3) of diagnostics.variances
-    c = mp.fit(readings("fibonacci-24", 3, off_deg=off_deg), model="own-quadratic")
-    e = c.residuals.ravel()
-    f, H = c.reference, c.model.force_jacobian(c.parameters, c.reference, {})
-    X = np.zeros((e.size, len(c.parameters)))
-    for i, (own, part) in enumerate(zip(c.model.columns, c.model.slices, strict=True)):
-        X[i::3, part] = c.model.basis(f, {})[:, own]
-    turned = np.zeros((e.size, e.size))
-    for k in range(len(f)):
-        J = H[k] @ np.cross(np.eye(3), f[k])
-        turned[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = J @ J.T
-
-    def deviance(log):
-        V = (stated**2 + np.exp(log[0])) * np.eye(e.size) + np.exp(log[1]) * turned
-        W = np.linalg.inv(V)
-        S = X.T @ W @ X
-        r = e - X @ np.linalg.solve(S, X.T @ W @ e)
-        return np.linalg.slogdet(V)[1] + np.linalg.slogdet(S)[1] + r @ W @ r
-
-    found = Residuals(
-        c.residuals[None],
-        c.model.basis(f, {}),
-        c.model.columns,
-        H[None],
-        f,
-        np.full((1, 24, 3), stated**2),
-    )
-    moved, equal = explain_orientations(found), explain_equal(found)
-    starts = [(-18.0, -12.0), (-18.0, -18.0), (-18.0, -30.0)]
-    least = min(minimize(deviance, s, method="Nelder-Mead").fun for s in starts)
-    assert moved.deviance[0] == pytest.approx(least, abs=0.05)
-    alone = minimize(lambda x: deviance([x[0], -60.0]), [-18.0], method="Nelder-Mead").fun
-    assert equal.deviance[0] == pytest.approx(alone, abs=0.05)
-
-
-def across_only(columns):
-    """Residuals of 24 turned positions, nothing along the force, beside columns of zeros."""
-    rng = np.random.default_rng(4)
-    angle = 2.0 * np.pi * np.arange(24.0) / 24.0
-    f = np.column_stack([np.sin(angle), np.zeros(24), np.cos(angle)])
-    basis = np.column_stack([np.ones(24), *(np.zeros(24) for _ in range(columns))])
-    e = np.cross(1e-3 * rng.standard_normal((24, 3)), f)
-    own, H = np.arange(1 + columns), np.broadcast_to(np.eye(3), (1, 1, 3, 3))
-    return Residuals(e[None], basis, [own] * 3, H, f, np.zeros((1, 24, 3)))
-
-
-def test_a_column_of_zeros_and_no_scatter_at_all_leave_the_orientation_error():
-    alone, beside = (explain_orientations(across_only(columns)) for columns in (0, 1))
-    assert_allclose(beside.variances, alone.variances, rtol=1e-6, atol=1e-12)
-    assert np.sqrt(alone.variances[0, 1]) == pytest.approx(1e-3, rel=0.3)  # 48 numbers
-
-
-def test_a_variance_that_runs_away_is_a_thousand_times_the_mean_square_at_most():
-    of = across_only(0)
-    found = variances._fit(of, [of.across], np.array([[1e30]]))
-    assert found.variances[0, 0] <= 1.5e3 * of.scale[0]  # J J' has 2/3 on its diagonal
-
-
-def test_no_row_that_is_left_has_no_residuals():
-    c = mp.fit(readings("faces-6", 1))
-    assert residuals._at_listed(c, np.zeros(6, dtype=bool), c.readings.up, np.ones(6)) is None
-
-
 def test_slow_noise_that_a_log_has_shown_is_not_told_again():
     rng = np.random.default_rng(3)
     up = read_scheme("fibonacci-48").up
@@ -109,20 +41,6 @@ def test_slow_noise_that_a_log_has_shown_is_not_told_again():
         c = mp.fit(replace(mp.Readings(values, up=up, unit="g"), findings=findings))
         texts = [each.text for each in c.findings if each.code == shown.code]
         assert [text == shown.text for text in texts] == [bool(findings)]
-
-
-@pytest.mark.parametrize("off_deg", [0.0, 0.3])
-def test_where_nothing_hints_at_orientations_the_whole_search_prefers_none(off_deg):
-    """The score at zero says what the search would: in half of sets that are not off at all."""
-    hints = []
-    for seed in range(20):
-        c = mp.fit(readings("icosahedron-12", seed, off_deg=off_deg), reading_sd=3e-5, **EXACT)
-        found = residuals.residuals_of(c)
-        equal, moved = explain_equal(found), explain_orientations(found)
-        hints.append(bool(variances.hints_at_orientations(found, equal)[0]))
-        assert hints[-1] or not variances.prefers_orientations(equal, moved)[0]
-    assert np.mean(hints) >= (0.7 if off_deg else 0.2)
-    assert off_deg or np.mean(hints) <= 0.8
 
 
 @pytest.mark.parametrize(
@@ -175,13 +93,13 @@ def test_a_missing_term_explains_noise_beyond_the_stated_one():
 
 
 def test_the_placement_that_is_named_is_the_one_that_was_made():
-    """s of the likelihood against the steps that were made: 48 angles, so to a fifth at 95 %."""
+    """s of mean squares against the steps that were made: 48 angles, so to a fifth at 95 %."""
     (said,) = told(mp.fit(readings("fibonacci-24", 2, off_deg=0.3), **EXACT), "placement")
     assert "--orientation-sd auto" in said
     size = float(said.split("orientation errors of ")[1].split(" degrees")[0])
     assert size == pytest.approx(0.3, rel=0.3)
     auto = mp.fit(readings("fibonacci-24", 2, off_deg=0.3), orientation_sd="auto")
-    assert size == pytest.approx(auto.variance_components.orientation_sd_deg.value, rel=0.15)
+    assert size == pytest.approx(auto.variance_components.orientation_sd_deg.value, rel=0.3)
 
 
 def test_where_auto_could_not_tell_nobody_is_sent_to_it():
@@ -241,40 +159,9 @@ def test_outputs_whose_parameters_take_all_are_not_told_apart():
     assert not sizes.any()
 
 
-def test_steps_follow_the_slopes_of_the_deviance():
-    """Slopes by differences of D, the step by hand; what is held at zero does not move."""
-    rng = np.random.default_rng(1)
-    force = read_scheme("fibonacci-24").up
-    found = Residuals(
-        1e-4 * rng.standard_normal((2, 24, 3)),
-        np.column_stack([np.ones(24), force]),
-        [np.arange(4)] * 3,
-        np.tile(MATRIX, (2, 1, 1, 1)),
-        force,
-        np.full((2, 24, 3), 4e-9),
-    )
-    parts = [np.eye(3)[..., None, None], found.across]
-    theta, by = np.array([[9e-9, 2e-9], [4e-9, 1e-9]]), np.diag([1e-12, 1e-12])
-    here = variances._evaluate(found, parts, theta)
-    slopes = np.empty((2, 2))
-    for j in range(2):
-        up, down = (variances._evaluate(found, parts, theta + s * by[j]) for s in (1, -1))
-        slopes[:, j] = (up.deviance - down.deviance) / 2e-12
-    assert_allclose(here.expected - here.observed, slopes, rtol=1e-3)
-    step, gain = variances._step(theta, here)
-    for b in range(2):
-        newton = -np.linalg.solve(here.curvature[b], slopes[b])
-        assert_allclose(step[b], newton, rtol=3e-3)
-        assert gain[b] == pytest.approx(-0.5 * newton @ slopes[b], rel=3e-3)
-    held = here._replace(observed=np.where([[True, False]], 0.5 * here.expected, here.observed))
-    still = variances._step(theta * [0.0, 1.0], held)[0]
-    assert_array_equal(still[:, 0], 0.0)
-    assert_allclose(still[:, 1], -slopes[:, 1] / here.curvature[:, 1, 1], rtol=3e-3)
-
-
 def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
     """R with projections of its own and SciPy's F, half of the units with rows turned."""
-    # eq. (4) of diagnostics.variances
+    # eqs. (1), (2) of diagnostics.variances
     rng = np.random.default_rng(2)
     force = read_scheme("fibonacci-24").up
     design = np.column_stack([np.ones(24), force])
@@ -282,9 +169,7 @@ def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
     noise = rng.standard_normal((400, 24, 3))
     noise[200:] += 2.0 * np.cross(rng.standard_normal((200, 24, 3)), force)
     e = np.einsum("kl,blm->bkm", left, noise)
-    found = Residuals(
-        e, design, [np.arange(4)] * 3, np.eye(3)[None, None], force, np.zeros(e.shape)
-    )
+    found = Residuals(e, design, [np.arange(4)] * 3, np.eye(3)[None, None], force)
     every = np.hstack([force[:, [i]] * design for i in range(3)])  # of what is along the force
     along_nu = 24 - np.linalg.matrix_rank(every)
     across_nu = 3 * 20 - along_nu
@@ -293,10 +178,21 @@ def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
     normal /= np.linalg.norm(normal, axis=2, keepdims=True)
     along = np.sum(np.sum(normal * (e / sd), axis=2) ** 2, axis=1)
     ratio = (60.0 - along) / across_nu / (along / along_nu)
-    said = (ratio > fisher.ppf(0.98, across_nu, along_nu)) & (3.0 * along <= 60.0)
+    said = (ratio > fisher.ppf(0.99, across_nu, along_nu)) & (3.0 * along <= 60.0)
     assert_array_equal(variances.across_the_force(found), said)
-    assert said[:200].mean() < 0.06
-    assert said[200:].mean() > 0.3
+    assert said[:200].mean() < 0.03
+    assert said[200:].mean() > 0.2
+    q = np.sum(np.einsum("bkm,km->bk", e, force) ** 2, axis=1), np.sum(e**2, axis=(1, 2))
+    equal, unequal, oriented = variances.deviances_of(found)
+    assert_allclose(equal, 60.0 * np.log(q[1] / 60.0))
+    assert_allclose(unequal, 20.0 * np.log(np.sum(e**2, axis=1) / 20.0).sum(axis=1))
+    squares = q[0] / along_nu, (q[1] - q[0]) / across_nu
+    more = squares[1] > squares[0]
+    wanted = along_nu * np.log(squares[0]) + across_nu * np.log(squares[1])
+    assert_allclose(oriented, np.where(more, wanted, np.inf))
+    s = variances.orientation_sd(found)
+    assert ((s > 0.0) == more).all()
+    assert np.median(s[200:]) == pytest.approx(2.0, rel=0.1)
 
 
 def test_equal_noise_is_judged_by_its_score():

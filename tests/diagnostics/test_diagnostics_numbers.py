@@ -52,7 +52,6 @@ from multipos.diagnostics.scales import (
     reversed_or_permuted,
 )
 from multipos.diagnostics.score_tests import ratios_of
-from multipos.diagnostics.variances import Explained, _information, _inverse, prefers_unequal
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
 
@@ -530,15 +529,6 @@ def test_further_terms_are_better_where_rows_left_out_are_nearer():
     assert not are_better_with([Q], [X[:, :1]], [np.full((1, 1), 1e9)], [e]).any()
 
 
-@pytest.mark.parametrize(("gain", "better"), [(9.1, False), (9.3, True)])
-def test_unequal_outputs_are_preferred_at_a_hundredth(gain, better):
-    """χ² of two more variances, 9.21."""
-    equal = Explained(np.zeros((1, 1)), np.array([50.0]))
-    unequal = Explained(np.zeros((1, 3)), np.array([50.0 - gain]))
-    assert prefers_unequal(equal, unequal)[0] == better
-    assert not prefers_unequal(equal, Explained(np.zeros((1, 1)), np.array([-1e9])))[0]
-
-
 def test_what_whitens_residuals_and_how_much_they_count():
     rng = np.random.default_rng(9)
     e, root = rng.normal(size=(3, 2)), rng.normal(size=(6, 8))
@@ -559,17 +549,6 @@ def test_what_whitens_residuals_and_how_much_they_count():
     by, _ = _whitener(c(V, weight))
     scale = np.sqrt(np.repeat(weight, 2))
     assert_allclose(by @ V @ by.T, np.outer(scale, scale) * np.eye(6), atol=1e-9)
-
-
-def test_information_of_outputs_whose_weights_covary():
-    rng = np.random.default_rng(2)
-    phi, roots = rng.normal(size=(5, 3)), rng.normal(size=(2, 5, 2, 3))
-    W = roots @ roots.transpose(0, 1, 3, 2)
-    by_output = np.moveaxis(W, (2, 3), (0, 1))
-    of = SimpleNamespace(basis=phi, parameters=np.array([0, 2, 3, 4]))
-    X = np.stack([np.kron(np.eye(2), row) for row in phi])[:, :, of.parameters]  # (n, M, p)
-    by_hand = np.einsum("nmp,bnmk,nkq->bpq", X, W, X)
-    assert_allclose(_information(of, by_output[None])[0], by_hand, rtol=1e-10)
 
 
 # --- outputs, units and temperatures
@@ -911,104 +890,6 @@ def test_the_score_of_the_best_of_significant_terms(monkeypatch):
 # --- orientation errors
 
 
-def test_residuals_of_rows_at_their_listed_positions():
-    c = linear()
-    kept, sd = np.arange(14) % 5 != 2, np.linspace(0.01, 0.04, 14)
-    c = SimpleNamespace(
-        sign=-1.0, reference=UP * np.linspace(0.9, 1.2, 14)[:, None], readings=c.readings,
-        model=c.model, parameters=c.parameters, residuals=c.residuals,
-    )  # fmt: skip
-    found = residuals._at_listed(c, kept, UP, sd)
-    force = -UP[kept] * np.linspace(0.9, 1.2, 14)[kept, None]
-    X = np.column_stack([np.ones(kept.sum()), force])
-    y = c.readings.values[kept]
-    assert_allclose(found.error[0], y - X @ np.linalg.lstsq(X, y, rcond=None)[0], atol=1e-12)
-    assert_allclose(found.force, force)
-    relative = sd[kept] / math.sqrt(np.mean(sd[kept] ** 2))
-    K = c.parameters.reshape(3, 4)[:, 1:]
-    assert_allclose(found.slopes[0], relative[:, None, None] * K)
-    assert not found.stated.any()
-    few = np.arange(14) < 4
-    assert residuals._at_listed(c, few, UP, sd) is None
-
-
-@pytest.mark.parametrize(
-    ("found", "gain", "contrasts", "every", "said"),
-    [(0.031, 5.5, 1, 0.0, 0.031), (0.029, 5.5, 1, 0.0, None), (0.031, 5.3, 1, 0.0, None),
-     (0.031, 5.5, 0, 0.0, None), (0.031, 5.5, 1, 0.0619, 0.0619), (0.031, 5.5, 1, 0.0621, 0.031)],
-)  # fmt: skip
-def test_stated_orientations_are_too_small_by_chi_square(
-    found, gain, contrasts, every, said, monkeypatch
-):
-    """Of half a χ², 5.41 at 1 %; all rows say it unless one of them doubles it."""
-    sd, labels = np.array([0.05, 0.03, 0.04, 9.0, math.sqrt(4e-4)]), tuple("abcde")
-    sd[:3] = np.sqrt([5e-4, 12e-4, 15e-4])  # with 4e-4 the mean square is .03²
-    c = SimpleNamespace(
-        estimator=Estimator.UNCERTAIN, robust_weight=None,
-        diagnostics=SimpleNamespace(findings=(SimpleNamespace(code="set-aside", rows=("d",)),),
-                                    outliers=()),
-        readings=SimpleNamespace(labels=labels, orientation_sd=sd, up=np.zeros((5, 3))),
-    )  # fmt: skip
-    asked = []
-
-    def at_listed(c, kept, up, sd):
-        asked.append(kept.tolist())
-        return SimpleNamespace(contrasts=contrasts, every=kept.all())
-
-    def explain(of):
-        size = (every or found) if of.every else found
-        return Explained(np.array([[7.0, size**2]]), np.array([-20.0]))
-
-    monkeypatch.setattr(residuals, "_is_triad", lambda c: True)
-    monkeypatch.setattr(residuals, "_at_listed", at_listed)
-    monkeypatch.setattr(residuals, "explain_orientations", explain)
-    monkeypatch.setattr(
-        residuals, "least_deviance",
-        lambda of, s2: gain - 20.0 if s2 == pytest.approx(9e-4) else math.nan,
-    )  # fmt: skip
-    finding = residuals.understated_orientations(c)
-    assert asked[0] == [True, True, True, False, True]
-    assert (finding is None) == (said is None)
-    if said:
-        assert f"errors of {math.degrees(said):.2g} degrees" in finding.text
-        assert f"the stated {math.degrees(0.03):.2g};" in finding.text
-
-
-@pytest.mark.parametrize(
-    ("contrasts", "deviances", "said", "action"),
-    [
-        (6, (50.0, 40.0, 41.0), "orientation errors of 1.7 degrees", "--orientation-sd auto."),
-        (5, (50.0, 40.0, 41.0), "1.7 degrees or variation between", "--orientation-sd 1.7."),
-        (6, (50.0, 40.0, 39.0), "unequal (a 0.2, b 0.3, c 0.5)", "each output"),
-        (6, (50.0, 45.0, 45.5), "variation between rests", "larger --reading-sd."),
-        (0, (50.0, 45.0, 39.0), "cannot be separated", "Add --orientation-sd 4.9 if"),
-    ],
-)
-def test_the_cause_of_noise_beyond_the_stated_one(contrasts, deviances, said, action, monkeypatch):
-    """The likeliest of three at 1 %: 5.41 of orientations, 9.21 of two more variances."""
-    equal, moved, unequal = (np.array([each]) for each in deviances)
-    of = SimpleNamespace(contrasts=contrasts)
-    monkeypatch.setattr(residuals, "residuals_of", lambda c: of)
-    variances = np.array([[0.04, 0.09, 0.25]])
-    same = Explained(np.array([[0.02]]), equal)
-    monkeypatch.setattr(residuals, "explain_equal", lambda of: same)
-    monkeypatch.setattr(residuals, "explain_unequal", lambda of: Explained(variances, unequal))
-    turned = Explained(np.array([[0.1, 9e-4]]), moved)
-    monkeypatch.setattr(residuals, "explain_orientations", lambda of: turned)
-    monkeypatch.setattr(residuals, "hints_at_orientations", lambda of, equal: [True])
-    monkeypatch.setattr(residuals, "_separable", lambda c: True)
-    K = np.array([[2.0, 1.0, 0.0], [0.0, 1.5, 2.0], [1.0, 0.0, 3.0]])
-    assert math.degrees(math.sqrt(1.5 * 0.02 * np.mean(1 / np.sum(K**2, axis=1)))) == (
-        pytest.approx(3.9, abs=0.05))  # fmt: skip
-    c = SimpleNamespace(
-        readings=SimpleNamespace(noise=np.ones(9)), robust_weight=None, sensitivity=K,
-        outputs="abc", model=SimpleNamespace(unit="V", has_terms=True),
-    )  # fmt: skip
-    text, way = residuals._cause_at_known(c)
-    assert said in text
-    assert (action if contrasts else "Add --orientation-sd 3.9 if") in way
-
-
 # --- outputs that do not respond
 
 
@@ -1262,14 +1143,3 @@ def test_rows_in_another_unit_are_nearer_divided_by_outputs_of_any_size():
         found = repairs._too_large(view, rows, factor)
         assert found.tolist() == (divided < as_is).tolist()
         assert 0 < found.sum() < 24
-
-
-@pytest.mark.parametrize("outputs", [2, 3])
-def test_variances_far_below_one_have_an_inverse(outputs):
-    """1e-120 V: its determinant is no number, its logarithm −120 ln 10 less an output and row."""
-    A = np.random.default_rng(2).normal(size=(2, 5, outputs, outputs))
-    V = A @ A.transpose(0, 1, 3, 2) + np.eye(outputs)
-    W, log_det = _inverse(1e-120 * np.moveaxis(V, (2, 3), (0, 1)))
-    assert_allclose(np.moveaxis(W, (0, 1), (2, 3)) * 1e-120, np.linalg.inv(V), rtol=1e-9)
-    wanted = np.linalg.slogdet(V)[1].sum(axis=1) - 5 * outputs * 120.0 * math.log(10.0)
-    assert_allclose(log_det, wanted, rtol=1e-12)

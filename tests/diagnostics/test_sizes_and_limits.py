@@ -19,7 +19,6 @@ from multipos.diagnostics import (
     row_order,
     scales,
     score_tests,
-    variances,
 )
 from multipos.errors import MultiposError
 from multipos.estimation.known import REJECTED
@@ -517,25 +516,3 @@ def test_the_noisiest_output_is_named_beside_the_quietest(p, said, monkeypatch):
         assert found.text.startswith("c is 8 times as noisy as b (p = 0.0090); its U")
     c.outputs = ("a",)
     assert residuals.unequal_noise(c) is None
-
-
-def test_a_variance_alone_is_its_share_of_what_is_expected():
-    """θ e'PCPe/tr PC; of nothing that tells it stays, and what is held at zero is zero."""
-    theta = np.array([[2.0, 0.0, 0.5, 0.0]])
-    here = variances._Slopes(
-        np.zeros(1), np.array([[3.0, 5.0, 1e-15, 2.0]]), np.array([[9.0, 4.0, 7.0, 6.0]]),
-        np.zeros((1, 4, 4)),
-    )  # fmt: skip
-    assert variances._held(theta, here).tolist() == [[False, True, False, False]]
-    found = variances._fixed_point(theta, here, np.array([[1e-3]]))
-    assert_allclose(found, [[6.0, 0.0, 0.5, 3e-3]])
-
-
-def test_what_orientation_errors_explain_beside_unequal_outputs(monkeypatch):
-    """How far one more variance leads below three: a number fewer, and ln ν for each."""
-    fallen = SimpleNamespace(deviance=np.array([57.0]))
-    monkeypatch.setattr(examination, "explain_unequal", lambda of: fallen)
-    of = SimpleNamespace(oriented=SimpleNamespace(deviance=np.array([21.0])))
-    c = SimpleNamespace(residuals=np.zeros((9, 3)))
-    found = examination._score(c, SimpleNamespace(code="placement"), 15.0, lambda: of)
-    assert found == pytest.approx(36.0 + math.log(15.0))
