@@ -276,7 +276,7 @@ def _score(
     n, m = c.residuals.shape
     if finding.code == "missing-term":
         return score_tests.score_of_term(c, c.diagnostics.model_tests)
-    if finding.code == "placement":
+    if finding.code == "placement" and m == 3:  # by the normals of three outputs
         _, unequal, oriented = deviances_of(residuals())
         gain = float(unequal[0] - oriented[0])
         return float(gain - (2.0 - m) * math.log(freedom))

@@ -93,3 +93,13 @@ def test_outliers_that_are_many_are_counted(more, said):
     assert _outlying(c, left).level == "error"
     left.dof = _ENOUGH - 1
     assert _outlying(c, left).level == "warning"
+
+
+def test_one_output_with_estimated_orientations_is_examined():
+    """Its normals are of no three outputs: the model `1 + own` ended in a fault of the program."""
+    up = mp.read_scheme("all-26").up
+    noise = 1e-4 * np.random.default_rng(1).standard_normal((26, 1))
+    values = up @ [[0.9965], [0.0074], [-0.008]] + noise
+    readings = mp.Readings(values, outputs=("ax",), up=up, unit="g")
+    cal = mp.fit(readings, axes="x", model="1 + own", orientation_sd="auto")
+    assert "missing-term" in {each.code for each in cal.findings}
