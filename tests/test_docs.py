@@ -354,7 +354,7 @@ def test_a_figure_is_as_wide_as_its_labels_need():
 
 
 # What a visitor reads and a maintainer can keep. Lists that the program writes are apart.
-MOST_PAGES, MOST_WORDS = 36, 45_000
+MOST_PAGES, MOST_WORDS = 35, 44_800
 GENERATED = {"names.md", "commands.md", "messages.md", "errors.md"}
 NOT_OF_THE_SITE = {"architecture.md", "decisions.md"}
 SITE = [
