@@ -829,9 +829,11 @@ def _sides(f: Array) -> Array:
 def _stated(c: Calibration) -> Iterable[tuple[str, Array]]:
     """Yield the columns of causes that need more than the order: approach, sd, attitudes, rolls."""
     n = len(c.readings)
-    approach = c.readings.environment.get(APPROACH)
-    if approach is not None and np.isfinite(approach).all() and np.ptp(approach) > 0.0:
-        yield "hysteresis", approach[:, None]
+    beside = c.readings.environment.items()
+    sides = [side for name, side in beside if name.partition("_")[0] == APPROACH]
+    sides = [side for side in sides if np.isfinite(side).all() and np.ptp(side) > 0.0]
+    if sides:
+        yield "hysteresis", np.column_stack(sides)
     sd = c.readings.sd
     if sd is not None:
         own = np.sqrt(np.einsum("nm,nm->n", sd, sd))

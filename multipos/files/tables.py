@@ -269,8 +269,7 @@ def _read_file(path: StrPath, what: str, *, in_text: bool = False) -> Table:
 def _read_csv(path: StrPath, raw: bytes, what: str, *, in_text: bool) -> Table:
     import hashlib  # slow to import, and a log has no need of it
 
-    said = ""
-    sha256 = hashlib.sha256(raw).hexdigest()
+    sha256, said = hashlib.sha256(raw).hexdigest(), ""
     if raw.startswith((handed.ZIP, handed.OLE)):
         names = handed.members(path)
         if names and not any(name.endswith(handed.WORKBOOK) for name in names):

@@ -60,8 +60,7 @@ def load_dataflash(path: os.PathLike[str]) -> Mapping[str, Any]:
 
 def read_dataflash_text(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Return the same of the text that ArduPilot's tools make of a log, a message a line."""
-    found: Mapping[str, Any] = loaded(path, lambda: _first_imu(_messages(path)))
-    return found
+    return loaded(path, lambda: _first_imu(_messages(path)))  # type: ignore[no-any-return]
 
 
 def _messages(path: os.PathLike[str]) -> Iterator[tuple[str, dict[str, str]]]:

@@ -477,7 +477,7 @@ SOAKS = ("soak", RUN, "cycle", "chamber")  # beside a temperature: labels of sta
 def is_environment(name: str) -> bool:
     """Tell whether a column is about the surroundings by its name."""
     surroundings = (TEMPERATURE, "time", "approach", "head_deg")  # the last, of a dividing head
-    return name in surroundings or name.startswith("ambient") or name.endswith("_rate")
+    return name in surroundings or name.startswith(("ambient", "approach_")) or name[-5:] == "_rate"
 
 
 def in_celsius(table: Table, units: Mapping[str, str], findings: list[Finding]) -> Table:

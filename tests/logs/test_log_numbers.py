@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 import multipos as mp
-from multipos.files import layout
 from multipos.logs import (
     common_noise,
     faults,
@@ -27,7 +26,6 @@ from multipos.logs.clock import read_dates, unwrap
 from multipos.logs.common_noise import _alike, _are_usual
 from multipos.logs.ellipsoids import off_the_ellipsoid
 from multipos.logs.faults import find_stuck, find_wrapped
-from multipos.logs.log_columns import _variation
 from multipos.logs.matching import _match_rows
 from multipos.logs.rest_means import (
     RestMean,
@@ -316,15 +314,6 @@ def test_what_a_memory_makes_likely():
         level = np.mean(rows.mean(axis=0) / shape)
         logs.append(np.sum(np.log(level * shape) + 1.0))
     assert common_noise._with_memory(rows) == pytest.approx(-0.5 * 6 * min(logs), rel=1e-9)
-
-
-def test_how_the_size_of_means_varies():
-    means = np.random.default_rng(4).normal(size=(3, 30))
-    size = np.linalg.norm(means, axis=0)
-    by_hand = (np.quantile(size, 0.9) - np.quantile(size, 0.1)) / np.median(size)
-    assert _variation(means) == pytest.approx(by_hand)
-    assert _variation(np.array([[3.0, 3.0], [0.0, 1.49], [0.0, 0.0]])) == np.inf
-    assert _variation(np.zeros((3, 4))) == np.inf
 
 
 def test_what_would_take_in_short_stretches():
@@ -854,29 +843,6 @@ def test_outputs_of_a_magnetometer_by_name_unit_or_wish(header, outputs, kind, u
     log = open_lines("live", lines, None).log
     wanted = None if found is None else tuple(found.split(","))
     assert log_columns.magnetic_outputs(log, outputs, kind, unit) == wanted
-
-
-def test_what_rows_of_a_text_have_in_common():
-    """The usual width, of as many the wider; numbers in a third; a last mark that ends rows."""
-    rows = [["1", "2", ""], ["x", "4", ""], ["y", "", ""], ["7", "8"]]
-    assert layout._shape(rows, ",") == (",", 3, True, (0, 1))
-    assert layout._shape([*rows[:3], ["z", "", ""]], ",").numbers == (1,)
-    assert layout._shape(rows[:1] + rows[3:], ",").cells == 3
-    assert not layout._shape([["1", "2", "3"], ["4", "5", ""]], ",").trailing
-    assert not layout._shape(rows, "").trailing
-    shape = layout._shape(rows, ",")
-    assert layout._names("t,a", shape, comment=False) == ("t", "a")
-    assert layout._names("t,a,", shape, comment=False) == ("t", "a")
-    assert layout._names("t,a,b", shape, comment=False) is None
-    assert layout._names("t;a", shape, comment=False) is None
-    assert layout._names("t;a", shape, comment=True) == ("t", "a")
-    assert layout._names("1.5,a", shape, comment=False) is None
-    three = shape._replace(cells=3, trailing=False)
-    assert layout._names("made by hand", three, comment=True) is None
-    assert layout._names("time x hand", three, comment=True) == ("time", "x", "hand")
-    assert shape.fits(["1", "", ""])
-    assert not shape.fits(["x", "", ""])
-    assert not shape.fits(["1", "x", ""])
 
 
 def test_rests_of_one_sensor_have_the_law_of_their_cosines(monkeypatch):

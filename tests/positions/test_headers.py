@@ -106,3 +106,16 @@ def test_where_an_angle_begins_is_up_or_level_and_of_angles():
         mp.read_readings(faces, angle_zero="down")
     with pytest.raises(mp.UsageError, match="of tables with a column angle_deg"):
         mp.read_readings(faces, angle_zero="level")
+
+
+def test_the_side_of_approach_may_be_told_of_each_output():
+    up = mp.read_scheme("fibonacci-24").up
+    rng = np.random.default_rng(6)
+    sides = [rng.permutation(np.repeat([-1.0, 1.0], 12)) for _ in "zx"]
+    values = up + 1e-5 * rng.normal(size=up.shape)
+    values[:, 2] += 5e-4 * sides[0]
+    data = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    data |= dict(zip(("ax", "ay", "az"), values.T, strict=True))
+    found = mp.fit(data | {"approach_az": sides[0], "approach_ax": sides[1]}, unit="g")
+    assert found.outputs == ("ax", "ay", "az")
+    assert "hysteresis" in {each.code for each in found.findings}

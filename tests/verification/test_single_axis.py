@@ -363,7 +363,7 @@ def test_more_than_one_output_or_axis(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("lean", "told"), [(2.0, []), (20.0, ["wrong-plane"]), (90.0, ["no-signal"])]
+    ("lean", "told"), [(2.0, []), (20.0, ["wrong-plane"]), (90.0, ["no-signal", "table"])]
 )
 def test_an_input_axis_that_leans_from_where_it_is_said_to_be(lean, told):
     angle = np.arange(0.0, 360.0, 30.0)
