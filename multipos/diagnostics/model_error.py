@@ -62,7 +62,7 @@ def zero_per_soak(c: Calibration) -> Finding | None:
         "zero-per-soak",
         "note",
         f"bias is not repeatable between soaks ({listed} {c.model.unit} rms, {p_in_words(test.p)}: "
-        "hysteresis or drift); U over temperature includes it",
+        "hysteresis or drift); U includes it",
     )
 
 

@@ -1,13 +1,14 @@
-"""A zero of its own in every run: what runs differ by enters the uncertainty of the biases.
+"""A zero of its own in every run or soak: what zeros differ by enters the uncertainty.
 
-- `spread_runs` returns a solution with what the runs make of its U.
+- `spread_zeros` returns a solution with what the zeros make of its U.
 - `without_zeros` returns the readings less what their runs differ by, in which outliers and causes
   are looked for.
 
 Rows that a column `run` gives the same label share a zero beside the model's, as of a switch-on or
-a mounting.
+a mounting; so do those of a soak, a stay at one temperature of a model with terms of temperature
+(`multipos.sensor.temperature`).
 
-In one output of n rows and R runs, with Z one column a run,
+In one output of n rows and R zeros, with Z one column a zero,
 
     y = X p + Z a + e,    a ~ N(0, κ σ²),    e ~ N(0, σ²).                                   (1)
 
@@ -17,15 +18,16 @@ runs where each has the same positions, and for any κ
     cov b = s² (B B' + κ B Z Z' B'),    s² = (e'e − Σ κ d²(u'e)²/(1 + κ d²))/ν,             (2)
 
 e the residuals, ν = n − p and u, d the left singular vectors and singular values of what X leaves
-of Z. κ is not decided upon but integrated over, by its restricted likelihood and a prior even in
-the logarithm of the variance of a run's mean, m rows a run,
+of Z. κ is not decided upon but integrated over, by its restricted likelihood, a probability of .3
+that it is nothing and else a prior even in the logarithm of the variance of a zero's mean, m rows a
+zero,
 
     p(κ) ∝ Π (1 + κ d²)^−½ s^−ν (1 + κ m)⁻¹.                                                (3)
 
-U is half the interval that holds the mixture of Student's t with (2) and ν degrees of freedom. It
-is that of the mean over runs: what the zero of the next run adds stands in U of compensated force
-(`multipos.sensor.temperature`). Restricted likelihood and mixture are those of correlated rows
-(`multipos.estimation.correlated_rows`), with one law in place of another.
+U is half the interval that holds the mixture of Student's t with (2) and ν degrees of freedom, its
+degrees of freedom are those of the mixture's tails, and correlations those of the mean of (2). It is that of the mean over zeros: what the zero of the
+next run adds stands in U of compensated force. Restricted likelihood and mixture are those of
+correlated rows (`multipos.estimation.correlated_rows`), with one law in place of another.
 """
 
 from dataclasses import replace
@@ -34,10 +36,10 @@ import numpy as np
 
 from multipos.estimation.correlated_rows import sd_of_rows
 from multipos.estimation.problem import Solution
-from multipos.estimation.variances import half_of_mixture
+from multipos.estimation.variances import dof_of, half_of_mixture
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, Places
-from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.quantiles import coverage_factor, coverage_factors
 from multipos.positions.headers import RUN
 from multipos.positions.readings import Readings
 from multipos.sensor.found import Estimator
@@ -47,49 +49,55 @@ from multipos.sensor.temperature import runs_of
 _COVERAGE = 0.95  # that of `half_of_mixture`
 _SEEN = 1e-6  # of a column of ones, below which nothing is left of a run
 _NODES = 200  # of ln(1 + κ m)
+_NONE = 0.3  # probability that zeros are alike
 _WIDE = 1e6  # times the ratio of mean squares, up to which κ m goes
 _ROUNDING = 1e-12  # of the largest reading, below which a residual is nothing
 
 
-def spread_runs(
-    solution: Solution, readings: Readings, runs: Places, estimator: Estimator
+def spread_zeros(
+    solution: Solution, readings: Readings, zeros: Places, estimator: Estimator
 ) -> Solution:
-    """Return a solution whose U holds what the zero of runs (n,) differs by, eqs. (2) and (3).
+    """Return a solution whose U holds what zeros (n,) differ by, eqs. (2) and (3).
 
     Robust fits, models of one's own, orientations that are not exact and readings whose covariance
-    is given are left as they are, with a warning.
+    is given are left as they are, with a warning where a column gives the zeros.
     """
-    model = solution.model
+    model, by_run = solution.model, runs_of(readings, solution.model) is not None
     if (
         not estimator.exact
         or not model.has_terms
         or solution.robust_weight is not None
         or readings.covariance is not None
     ):
-        return _with_finding(solution, _UNUSED)
+        return _with_finding(solution, _UNUSED) if by_run else solution
     sd = sd_of_rows(solution, readings)
     phi = model.basis(solution.reference, readings.environment)
-    Z = (runs[:, None] == np.unique(runs)).astype(np.float64)
-    ratio, sizes = np.ones(len(solution.parameters)), []
+    Z = (zeros[:, None] == np.unique(zeros)).astype(np.float64)
+    u, covariance, sizes = np.sqrt(np.diag(solution.covariance)), solution.covariance.copy(), []
+    ratio, dof = np.ones(len(u)), solution.parameter_dof.copy()
     for i, columns in enumerate(model.columns):
-        weight = 1.0 / sd[:, [i]]
+        weight, mine = 1.0 / sd[:, [i]], model.slices[i]
         error = solution.residuals[:, i]
         if np.abs(error).max() <= _ROUNDING * np.abs(readings.values[:, i]).max():
             return solution
         found = _judge(phi[:, columns] * weight, error * weight[:, 0], Z * weight)
         if found is None:
             return solution
-        ratio[model.slices[i]], size = found
+        longer, own_dof, correlation, size = found
+        before = coverage_factors(_COVERAGE, dof[mine])
+        dof[mine] = np.minimum(dof[mine], own_dof)
+        ratio[mine] = longer * before / coverage_factors(_COVERAGE, dof[mine])
+        covariance[mine, mine] = correlation * np.outer(*[u[mine] * ratio[mine]] * 2)
         sizes.append(f"{model.outputs[i]} {size:.2g}")
+    inflation = solution.inflation * ratio
+    solution = replace(solution, covariance=covariance, inflation=inflation, parameter_dof=dof)
+    if not by_run:
+        return solution
     text = (
         f"bias is the mean of {Z.shape[1]} runs, whose zeros differ by {', '.join(sizes)} "
         f"{model.unit} (standard deviation); U of the bias includes it"
     )
-    return replace(
-        _with_finding(solution, Finding("zero-per-soak", "note", text)),
-        covariance=solution.covariance * np.outer(ratio, ratio),
-        inflation=solution.inflation * ratio,
-    )
+    return _with_finding(solution, Finding("zero-per-soak", "note", text))
 
 
 def without_zeros(readings: Readings, model: Model, reference: Array) -> Readings:
@@ -125,15 +133,15 @@ def _with_finding(solution: Solution, said: Finding) -> Solution:
     return replace(solution, findings=(*solution.findings, said))
 
 
-def _judge(X: Array, e: Array, Z: Array) -> tuple[Array, float] | None:
-    """Return U (p,) over that of independent rows, and the sd of zeros of an output.
+def _judge(X: Array, e: Array, Z: Array) -> tuple[Array, Array, Array, float] | None:
+    """Return U (p,) over that of independent rows, its dof, correlations, and the sd of zeros.
 
-    None where runs leave nothing to judge them by, such as one row each.
+    None where zeros leave nothing to judge them by, such as one row each.
 
     Parameters
     ----------
     X, e, Z : (n, p), (n,), (n, R) arrays
-        Design, residuals and runs, whitened.
+        Design, residuals and zeros, whitened.
     """
     n, p = X.shape
     Q, T = np.linalg.qr(X)
@@ -151,10 +159,16 @@ def _judge(X: Array, e: Array, Z: Array) -> tuple[Array, float] | None:
     known = 1.0 + kappa[:, None] * d2
     s2 = (total - (1.0 - 1.0 / known) @ explained) / nu
     log = -0.5 * np.log(known).sum(axis=1) - 0.5 * nu * np.log(s2)
-    weight = np.exp(log - log.max())
-    own, moved = np.sum(B**2, axis=0), np.sum((B.T @ Z) ** 2, axis=1)
-    variances = s2[:, None] * (own + kappa[:, None] * moved)
-    dof = np.full((1, p), nu)
-    half = half_of_mixture(weight[None] / weight.sum(), variances[None], dof)[0]
-    independent = coverage_factor(_COVERAGE, nu) * np.sqrt(total / nu * own)
-    return half / independent, float(np.sqrt(max(between - within, 0.0) / m))
+    prior = np.full(_NODES, (1.0 - _NONE) / _NODES)
+    prior[0] += _NONE
+    weight = prior * np.exp(log - log.max())
+    weight /= weight.sum()
+    moved = B.T @ Z
+    own, moved = B.T @ B, moved @ moved.T
+    variances = s2[:, None] * (np.diag(own) + kappa[:, None] * np.diag(moved))
+    half = half_of_mixture(weight[None], variances[None], np.full((1, p), nu))[0]
+    independent = coverage_factor(_COVERAGE, nu) * np.sqrt(total / nu * np.diag(own))
+    mean = (weight @ s2) * own + (weight @ (s2 * kappa)) * moved
+    correlation = mean / np.sqrt(np.outer(np.diag(mean), np.diag(mean)))
+    dof = np.minimum(dof_of(weight[None], variances[None])[0], nu)
+    return half / independent, dof, correlation, float(np.sqrt(max(between - within, 0.0) / m))

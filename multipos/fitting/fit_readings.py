@@ -25,6 +25,7 @@ from multipos.estimation.closed_form import solve_closed_form
 from multipos.estimation.known import share_design, solve_known
 from multipos.estimation.outliers import find_outlying_rows
 from multipos.estimation.problem import Solution
+from multipos.estimation.session_drift import find_time_constant, with_time_constant
 from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
 from multipos.files.written_units import MAGNETIC_UNITS
@@ -62,7 +63,7 @@ from multipos.sensor.model import (
 )
 from multipos.sensor.model_text import ParsedModel, read_model
 from multipos.sensor.nominal import read_nominal
-from multipos.sensor.temperature import runs_of
+from multipos.sensor.temperature import zeros_in
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 
 _TIED = "the listed directions fix the orientation of the case"
@@ -252,7 +253,10 @@ def fit(
     # Six positions that are inverted are all needed, and a loss looks for rows itself.
     all_of_them = closed_form or (robust is not None and exclude == "auto")
     sought: Names = "none" if all_of_them else exclude
-    apart = find_apart(built, data, stated_up, sought)
+    if drift:
+        data, built, apart = _settled(built, data, stated_up, options, sought)
+    else:
+        apart = find_apart(built, data, stated_up, sought)
     whole, everywhere = data, stated_up.reference
     exactly = options.as_listed
     listed, facing = orientations.place(data, size, **exactly.spread), stated_facing(axes)
@@ -552,9 +556,9 @@ def calibrate_at(
         readings = bounded_below
         solution = _solver(estimator, readings, stated_up, options, tested=False)(model)
     solution = stated_uncertainty.with_stated_dof(solution, readings, joint=not estimator.exact)
-    runs = runs_of(readings, model)
-    if runs is not None:
-        solution = run_zeros.spread_runs(solution, readings, runs, estimator)
+    zeros = zeros_in(readings, model)
+    if zeros is not None:
+        solution = run_zeros.spread_zeros(solution, readings, zeros, estimator)
     else:
         solution = correlated_rows.spread_correlation(solution, readings, stated_up, estimator)
     found = solution.orientation_sd
@@ -567,7 +571,7 @@ def calibrate_at(
         criterion=criterion_in_words(estimator, options, model, readings),
         confidence=options.confidence,
     )
-    calibration = _with_rolls(calibration)
+    calibration = with_time_constant(_with_rolls(calibration))
     if chosen is None:
         return calibration
     from multipos.fitting.model_selection import with_selection
@@ -704,6 +708,50 @@ def _with_drift(readings: Readings, model: Model) -> tuple[Readings, Model]:
     middle = column - 0.5 * (column.min() + column.max())
     columns = {**readings.environment, DRIFT: middle}
     return replace(readings, environment=columns), model.with_drift("h" if timed else "row")
+
+
+def _settled(
+    model: Model,
+    readings: Readings,
+    stated_up: orientations.StatedOrientations,
+    options: Options,
+    exclude: Names,
+) -> tuple[Readings, Model, Mask]:
+    """Return readings and model with the drift that fits, and which rows are set aside beside it.
+
+    Each hangs on the other: rows of a sensor that settles are no outliers, and an outlier is no
+    drift.
+    """
+    line = readings.environment[DRIFT]
+    elapsed = (line - line.min()) * (_HOUR if model.drift_per == "h" else 1.0)
+    for _ in range(_ROUNDS):
+        apart = find_apart(model, readings, stated_up, exclude)
+        # a loss lets rows count less only when it is fitted
+        used = ~(
+            apart if options.robust is None else find_apart(model, readings, stated_up, "auto")
+        )
+        tau = _time_constant(model, select_rows(readings, ~used), elapsed[~used], options)
+        column = line if tau is None else np.exp(-elapsed / tau[0])
+        readings = replace(readings, environment={**readings.environment, DRIFT: column})
+        model = replace(model, drift_tau=tau)
+        if tau is None:
+            break
+    return readings, model, apart
+
+
+_ROUNDS = 3  # of the drift and of the rows set aside
+
+
+def _time_constant(
+    model: Model, readings: Readings, elapsed: Array, options: Options
+) -> tuple[float, float] | None:
+    size = signed_size(model.field, options.convention)
+    plain = replace(options, stepwise=False, robust=None)
+    options, stated_up, _ = _with_errors(model, readings, size, plain)
+    try:
+        return find_time_constant(calibrate_at(model, readings, stated_up, options), elapsed)
+    except (MultiposError, np.linalg.LinAlgError):
+        return None  # what is wrong is said of the fit itself
 
 
 def _build(

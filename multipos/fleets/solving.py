@@ -48,6 +48,7 @@ from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Field
+from multipos.sensor.temperature import zeros_in
 
 _ROWS_NAMED = 6  # of a finding, in a cell
 
@@ -205,6 +206,7 @@ def find_pattern(
         and c.robust_weight is None
         and c.budget is None
         and c.model.drift_per is None
+        and zeros_in(c.readings, c.model) is None
         and not c.readings.forced.any()
         and (np.ptp(c.readings.values, axis=0) > 0.0).all()  # a dead output says nothing of others
     )

@@ -113,7 +113,8 @@ def _model(said: Mapping[str, Any], environment: tuple[str, ...]) -> Model:
         return load_parsed(said["own_formulas"], *stated, said["gauge"])
     model = build_model(said["text"], *stated, environment)
     if "drift_per" in said:
-        model = model.with_drift(said["drift_per"])
+        tau = said.get("drift", {}).get("tau")  # none in a file that knows lines alone
+        model = model.with_drift(said["drift_per"], tau and (tau["value"], tau["u"]))
     return model if said["gauge"] is None else model.with_gauge(said["gauge"])
 
 

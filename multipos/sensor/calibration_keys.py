@@ -62,6 +62,8 @@ _OWN_MODEL = Fields(
     }
 )
 _PER = Text(("h", "row"))
+_TAU = Fields({"value": Number(SMALLEST), "u": NOT_NEGATIVE, "unit": Text(("s", "row"))})
+_DRIFT = Fields({"kind": Text(("linear", "exponential")), "tau": Maybe(_TAU)})
 _PARAMETERS = Listed(replace(schema_of(Parameter), made=dict), 1)
 _TABLE = Numbers(2)
 _GAPS = Numbers(2, gaps=True)
@@ -103,5 +105,6 @@ OF_PARTS = (
     also("installation_deg", _after("cross_check")),
     also("model.own_formulas", _OWN_MODEL, Stored("own_model", optional=True, after="cross_check")),
     also("model.drift_per", _PER, Stored("drift_per", optional=True, after="cross_check")),
+    also("model.drift", _DRIFT, Stored("drift", optional=True, after="cross_check")),
     also("findings", _after("orientations")),
 )

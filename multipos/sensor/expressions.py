@@ -231,7 +231,9 @@ class ExpressionModel(Model):
             "held, parameter by parameter."
         )
 
-    def with_drift(self, per: Literal["h", "row"]) -> "Model":
+    def with_drift(
+        self, per: Literal["h", "row"], tau: tuple[float, float] | None = None
+    ) -> "Model":
         """Refuse: a drift is a term."""
         raise UsageError(
             "--drift adds a term `drift` to a formula; write it into a user-defined model."

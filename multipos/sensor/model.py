@@ -126,6 +126,9 @@ class Model(StatedModel):
     drift_per : str or None
         'h' or 'row' where a drift of the session is among the terms, which is no part of the
         sensor: zero in the middle of the session, and wherever readings are compensated.
+    drift_tau : (float, float) or None
+        Time constant [s, or rows] of a drift exp(−t/τ), t from the first row, and its standard
+        uncertainty; None where it is a line. Biases are then those of the settled sensor.
     field : Field
         What the outputs sense; its unit is that of the reference.
 
@@ -145,6 +148,7 @@ class Model(StatedModel):
     terms: tuple[tuple[Term, ...], ...]
     gauge: Gauge | RollGauge | None = None
     drift_per: Literal["h", "row"] | None = declared(default=None, kw_only=True)
+    drift_tau: tuple[float, float] | None = declared(default=None, kw_only=True)
     field: Field = declared(default=GRAVITY, kw_only=True)
 
     @property
@@ -173,13 +177,24 @@ class Model(StatedModel):
     @cached_property
     def units(self) -> tuple[str, ...]:
         """Parameter units such as ``V/g``."""
-        drift = f"{self.unit}/{self.drift_per}"
+        drift = self.unit if self.drift_tau else f"{self.unit}/{self.drift_per}"
         return tuple(
             drift
             if self.drift_per is not None and term == _DRIFT
             else unit_per(self.unit, term.force_degree, term.environment, self.field.unit)
             for _, term in self.keys
         )
+
+    @property
+    def drift(self) -> dict[str, Any] | None:
+        """The drift of the session as a file has it: its kind, and the time constant."""
+        if self.drift_per is None:
+            return None
+        if self.drift_tau is None:
+            return {"kind": "linear", "tau": None}
+        unit = "s" if self.drift_per == "h" else "row"
+        tau, u = self.drift_tau
+        return {"kind": "exponential", "tau": {"value": tau, "u": u, "unit": unit}}
 
     @property
     def equation(self) -> str:
@@ -501,15 +516,17 @@ class Model(StatedModel):
         i = self.outputs.index(output)
         return replace(self, outputs=(output,), axes=(self.axes[i],), terms=(self.terms[i],))
 
-    def with_drift(self, per: Literal["h", "row"]) -> "Model":
+    def with_drift(
+        self, per: Literal["h", "row"], tau: tuple[float, float] | None = None
+    ) -> "Model":
         """Return the model with a drift of the session, of every output."""
         terms = tuple((*own, _DRIFT) for own in self.terms)
-        return replace(self, terms=terms, drift_per=per)
+        return replace(self, terms=terms, drift_per=per, drift_tau=tau)
 
     def without_drift(self) -> "Model":
         """Return the model of the sensor alone."""
         terms = tuple(tuple(term for term in own if term != _DRIFT) for own in self.terms)
-        return replace(self, terms=terms, drift_per=None)
+        return replace(self, terms=terms, drift_per=None, drift_tau=None)
 
     def with_gauge(self, gauge: Gauge | RollGauge) -> "Model":
         """Return the model without the linear terms that a gauge fixes: the upper triangle.

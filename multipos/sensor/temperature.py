@@ -1,7 +1,8 @@
 """Parameters as functions of temperature: bias, scale factors and cross terms with their bands.
 
 - `over_temperature` returns a `Curve` of each.
-- `soaks_of`, `find_soaks` and `runs_of` say which rows share a zero, `has_zeros` whether any may;
+- `soaks_of`, `find_soaks` and `runs_of` say which rows share a zero, `zeros_in` which of them a fit
+  has, `has_zeros` whether any may;
   `zeros_of_soaks` returns what these `Zeros` do to a run or to single readings.
 
 In a model with temperature terms the bias of an output is b_1 + b_T T + b_TT T² + …, and its scale
@@ -19,17 +20,17 @@ what the zero did there beside the model (hysteresis, a chamber that tilts), y =
 a ~ N(0, σ_a²), Z one column a soak. With Δ what Z explains of the residuals beyond X on q degrees
 of freedom, and s² what is left,
 
-    σ_a² = (Δ − q s²)/tr Z'(I − P_X)Z,      u² = w' C w s²/s_0² + σ_a² |w' X⁺Z|²,           (2)
+    σ_a² = (Δ − q s²)/tr Z'(I − P_X)Z                                                        (2)
 
-s_0² that of the fit, if σ_a² is above zero. U holds both parts, each with its own factor: t of ν
-for the first, of q for the second; W likewise. With no more soaks than the model has terms of
-temperature there is no q, and `soak_sd` is not known. How the zero repeats is in U once: σ_a is at
-least half of a hysteresis beyond its U, eq. (3), and of the second part of (2) and ``[stability]``
-in the budget, which state the same, the larger is taken.
+if it is above zero. The covariance of the parameters has what these do to them
+(`multipos.estimation.run_zeros`); the zero of a further soak, of variance σ_a² on q degrees of
+freedom, is added where readings are compensated or checked. With no more soaks than the model has
+terms of temperature there is no q, and `soak_sd` is not known. How the zero repeats is in U once:
+σ_a is at least half of a hysteresis beyond its U, eq. (3), and of it and ``[stability]`` in the
+budget, which state the same, the larger is taken.
 
-**Runs.** Where no term takes temperature, rows of one label of a column `run` share a zero as well.
-The covariance of the parameters has what these do to them (`multipos.estimation.run_zeros`), so
-that of (2) only the zero of a further run, of variance σ_a² on q degrees of freedom, is added.
+**Runs.** Where no term takes temperature, rows of one label of a column `run` share a zero as well,
+and are treated as soaks are.
 
 **Hysteresis.** Where levels of temperature are read both when it rises and when it falls, the mean
 of zero, falling less rising, over such levels, with the scatter of these differences,
@@ -46,7 +47,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import COMPONENTS, Array, Places, as_numbers, quadratic
+from multipos.numerics.arrays import COMPONENTS, Array, Places, as_numbers
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import CONSTANT, linear_term
 from multipos.positions.headers import RUN, SOAKS, TEMPERATURE
@@ -71,7 +72,7 @@ class Curve(Result, Drawn, Tabular):
         As of a parameter: `bias_ax`, `scale_ax`, `cross_ax_y`.
     temperature : (n,) array
     value, u, U, band : (n,) arrays
-        U at one temperature, band at all of them together, eqs. (1) and (2).
+        U at one temperature, band at all of them together, eq. (1).
     soak_sd : float or None
         σ_a of eq. (2), of a bias; None where the readings cannot tell.
     hysteresis : mapping or None
@@ -167,9 +168,7 @@ class _Soaks(NamedTuple):
 
     sd: float  # σ_a
     dof: float  # q
-    moves: Array  # X⁺Z (p, soaks), in all parameters
-    within: float  # s²/s_0²
-    covariance: Array  # (p, p) that follows from s_0
+    within: float  # s² over that of all residuals
     hysteresis: Mapping[str, Any] | None
 
 
@@ -189,23 +188,16 @@ def _curve(
     m = len(used)
     unit = calibration.model.unit
     per_g = "1" if unit == "g" else f"{unit}/g"
-    of_soaks, q = np.zeros(len(T)), 1.0
-    if soaks is not None and soaks.sd > 0.0:
-        stated = 0.0 if place else _stated_zero(calibration, output) ** 2
-        of_soaks, q = _spread(soaks) ** 2 * ((w @ soaks.moves) ** 2).sum(axis=1), soaks.dof
-        of_soaks = np.maximum(of_soaks - stated, 0.0)
-        own = np.maximum(own - stated, 0.0) * soaks.within + stated
-    k, k_soaks = (coverage_factor(confidence, nu) for nu in (dof, q))
-    wide, wide_soaks = (m * f_quantile(confidence, m, nu) for nu in (dof, q))
+    k = coverage_factor(confidence, dof)
     return Curve(
         output=output,
         name=name,
         unit=per_g if place else unit,
         temperature=T,
         value=w @ calibration.parameters,
-        u=np.sqrt(own + of_soaks),
-        U=np.sqrt(k**2 * own + k_soaks**2 * of_soaks),
-        band=np.sqrt(wide * own + wide_soaks * of_soaks),
+        u=np.sqrt(own),
+        U=k * np.sqrt(own),
+        band=np.sqrt(m * f_quantile(confidence, m, dof) * own),
         soak_sd=None if soaks is None or place else soaks.sd,
         hysteresis=None if soaks is None or place else soaks.hysteresis,
     )
@@ -225,8 +217,7 @@ class Zeros(NamedTuple):
     Attributes
     ----------
     columns : (n, M, k) array
-        One standard deviation of the zero of every soak, of the calibration and of the run; without
-        soaks no column.
+        One standard deviation of the zero of every soak of the run; without soaks no column.
     dof : (M,) array
         q of eq. (2), infinite without soaks.
     contained : (n, M) array
@@ -255,7 +246,6 @@ def zeros_of_soaks(c: Calibration, X: Array, run: Readings | None, estimated: Ar
     contained = np.zeros(X.shape[:2])
     if not has_zeros(c):
         return Zeros(parts[0], dof, contained)
-    by_run = runs_of(c.readings, c.model) is not None
     numbers = np.zeros(len(X), dtype=np.intp)
     if run is not None:
         numbers = _zeros_in_run(c, run)
@@ -269,12 +259,7 @@ def zeros_of_soaks(c: Calibration, X: Array, run: Readings | None, estimated: Ar
         own[np.arange(len(X)), i, numbers] = beyond if run is None else spread
         parts.append(own)
         dof[i] = soaks.dof
-        of_fit = estimated[:, i] ** 2
-        if not by_run:  # else covariance has what they do to the parameters
-            parts.append(beyond * (X @ soaks.moves))
-        if c.noise is None and not by_run:
-            of_fit = of_fit + quadratic(X[:, i], soaks.covariance)
-        contained[:, i] = max(1.0 - soaks.within, 0.0) * of_fit
+        contained[:, i] = max(1.0 - soaks.within, 0.0) * estimated[:, i] ** 2
     return Zeros(np.concatenate(parts, axis=2), dof, contained)
 
 
@@ -290,6 +275,12 @@ def runs_of(readings: Readings, model: Model) -> Places | None:
         return None
     runs = np.unique(labels, return_inverse=True)[1].astype(np.intp)
     return runs if runs.any() else None
+
+
+def zeros_in(readings: Readings, model: Model) -> Places | None:
+    """Return which zero each reading of a fit has, that of its run or soak; None of one zero."""
+    runs = runs_of(readings, model)
+    return soaks_of(readings) if runs is None and TEMPERATURE in model.environment else runs
 
 
 def _zeros_in_run(c: Calibration, data: Readings) -> Places:
@@ -372,16 +363,11 @@ def _soaks(c: Calibration, output: int) -> _Soaks | None:
     if q < 1 or nu < 1 or not within > 0.0:
         return None
     variance = max((explained - q * within) / float(np.sum((basis.T @ Z) ** 2)), 0.0)
-    places, inverse = np.flatnonzero(c.model.output_of == output), np.linalg.pinv(X)
-    moves = np.zeros((len(c.parameters), Z.shape[1]))
-    moves[places] = inverse @ Z
     s_0 = float(e @ e) / (len(Z) - X.shape[1])
-    covariance = np.zeros(c.covariance.shape)
-    covariance[np.ix_(places, places)] = s_0 * inverse @ inverse.T
     sd = float(np.sqrt(variance))
     means = np.array([e[soak == s].mean() for s in np.unique(soak)])
     found = None if by_run else _hysteresis(c, soak, means, sd)
-    return _Soaks(sd, float(q), moves, within / s_0, covariance, found)
+    return _Soaks(sd, float(q), within / s_0, found)
 
 
 def _hysteresis(c: Calibration, soak: Places, means: Array, sd: float) -> Mapping[str, Any] | None:

@@ -66,7 +66,7 @@ from multipos.positions.readings import Readings
 from multipos.results import Keyed, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.sensor.temperature import zeros_of_soaks
+from multipos.sensor.temperature import has_zeros, zeros_of_soaks
 from multipos.uncertainty.unseen_terms import unseen_moves
 from multipos.verification.consistency import Words, is_apart, judge_together
 
@@ -203,6 +203,14 @@ def _turns(c: Calibration, data: Readings, known: Array) -> Array:
     return np.asarray(np.einsum("nmi,nai->nma", J, np.cross(np.eye(3), known[:, None, :])))
 
 
+def _of_zeros(c: Calibration) -> Array:
+    """Return 1/ν (M,) of parameters beyond that of noise, of few zeros of soaks."""
+    if not has_zeros(c):
+        return np.zeros(len(c.outputs))
+    least = np.array([c.parameter_dof[own].min() for own in c.model.slices])
+    return np.maximum(1.0 / least - 1.0 / c.dof, 0.0)
+
+
 def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimated: Array) -> _Run:
     environment = data.environment
     r = data.values - c.model.predict(c.parameters, known, environment)
@@ -217,13 +225,14 @@ def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimate
     )
     size = np.einsum("nmm->n", D)[:, None, None]
     W = np.linalg.inv(np.linalg.cholesky(D + _ROUNDING * size * np.eye(noise.shape[1])))
-    predicted = np.einsum("nmp,pq,nmq->nm", X, c.covariance, X) + estimated**2
+    by_parameters = np.einsum("nmp,pq,nmq->nm", X, c.covariance, X)
     whole = np.einsum("nmm->nm", D) + np.sum(L**2, axis=2)
     free = np.zeros((*r.shape, 0)) if c.model.gauge is None else _turns(c, data, known)
-    of_noise = np.mean(predicted / whole, axis=0)
+    of_noise = np.mean((by_parameters + estimated**2) / whole, axis=0)
+    of_zeros = np.mean(by_parameters / whole, axis=0)
     of_soaks = np.mean(np.sum(soaks**2, axis=2) / whole, axis=0)
     with np.errstate(divide="ignore"):
-        nu = 1.0 / (of_noise**2 / c.dof + of_soaks**2 / q)
+        nu = 1.0 / (of_noise**2 / c.dof + of_zeros**2 * _of_zeros(c) + of_soaks**2 / q)
     tied = of_orientation.any() or unseen.size or free.size
     return _Run(
         r=(W @ r[:, :, None])[:, :, 0],
@@ -323,6 +332,7 @@ def _dof_of_steps(c: Calibration, run: _Run, weighed: _Weights, flat: list[Array
     nu = np.full(len(c.parameters), float(np.min(c.dof)))
     if not run.soaks:
         return nu
+    nu = np.minimum(nu, c.parameter_dof)
     L, free, X, _ = flat
     without = _Weights(L[:, : -run.soaks], free)
     known, whole = (np.diag(each.product(X, X)) for each in (without, weighed))
