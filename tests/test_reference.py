@@ -106,7 +106,7 @@ def test_every_key_of_a_calibration_is_described(calibration):
 def test_every_key_that_is_described_is_there(calibration):
     known = set(calibration.to_dict()) | {"reading_covariance"}  # instead of reading_u
     known |= {"variance_components", "robust_weight", "selection", "budget", "own_model", "facing"}
-    known |= {"open_roll", "drift_per", "field"}  # --drift, magnetic
+    known |= {"open_roll", "drift_per", "drift", "field"}  # --drift, magnetic
     known |= {field.name for field in fields(FoundOrientations)}
     known |= set(calibration.to_dict()["parameters"][0])
     described = {key for row in rows("Calibration (JSON)") for key in row[0].split("`, `")}

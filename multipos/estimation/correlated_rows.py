@@ -12,13 +12,12 @@ positions tells noise from what the model lacks. Its sums S_b over runs of m row
 
 follow χ² on the number of runs, over that number, where rows are independent, m = 2, 4, 8, …; rows
 of unknown orientation show it by their misfit along the force u, of which no mean is taken. Where a
-sum is beyond chance, noise is taken as slow noise and white noise together,
+sum is beyond chance at known orientations, noise is taken as slow noise and white noise together,
 
     e_k − ρ e_{k−1} = w_k − θ w_{k−1},     0 ≤ θ ≤ ρ < 1,                                   (2)
 
-whose covariance R is known for any ρ and θ; that of misfits along forces is R_jk u_j·u_k, as each
-output has such a noise, and their likelihood is that of a Kalman filter of three states. The
-estimate stays least squares, b = B e off the truth with B = (X'X)⁻¹X', so that for the variance s²
+whose covariance R is known for any ρ and θ. The estimate stays least squares, b = B e off the truth
+with B = (X'X)⁻¹X', so that for the variance s²
 that rows leave when whitened by the law,
 
     cov b = s² B R B'.                                                                      (3)
@@ -49,13 +48,13 @@ dρ (1 − ρ)^−⅜, between flat and that of a long correlation. At 24 rows w
 
 Rows of a log that never rests (`multipos.logs.turned`; a column `turn_rate` ω says so) have errors
 that follow the motion of a hand, which no law describes. Their misfits e, along the force and over
-their u, are cut into B = 24 blocks in order. With X their design, and three columns ω² n more for
-the bias that a lever arm brings (n the slopes of e by the readings), leaving a block out moves
-the estimate by
+their u, are cut into B = 24 blocks in order, as are those of a record of unknown orientation where
+sums are beyond chance. With X their design, and of a hand three columns ω² n more for the bias that
+a lever arm brings (n the slopes of e by the readings), leaving a block out moves the estimate by
 
     d_b = (X'X − X_b'X_b)⁻¹ X_b'e_b,     cov = (B − 1)/B Σ_b d_b d_b',                      (6)
 
-the jackknife of blocks, with B − p − 3 degrees of freedom. In simulated logs of 90 to
+the jackknife of blocks, with B less the columns of X degrees of freedom. In simulated logs of 90 to
 240 s U covers 92 to 95 %, the worst parameter 83 or more; blocks of 8 s cover 98 %, with 1.4 times
 the U. The effective number of rows is n times the mean ratio of the variances of independent rows
 to these.
@@ -99,9 +98,6 @@ _NODES = 12  # of ρ
 _LONGEST = 0.4  # 1 − ρ of the last of them, over 1/n
 _SHARES = (0.0, 0.4, 0.7, 0.85, 0.93, 0.97, 0.99)  # θ/ρ: even in what white noise adds
 _ROWS = 20_000  # more are taken as means of neighbours
-_TURNED_ROWS = 3000  # of unknown orientation, of which
-_TURNED_NODES = 30  # tell the law of noise more closely
-_TURNED_SHARES = (0.0, 0.7, 0.93, 0.99)
 _FAINT = 0.2  # of ρ, below which rows are as good as independent
 _STEPS = 40  # of a search for U in logarithms
 _NEAR = 1e-9
@@ -243,18 +239,12 @@ def _unknown(solution: Solution, readings: Readings, order: Places | None) -> So
     along = _along_the_force(solution, readings)
     if along is None or degrees < 2.0:
         return solution
-    if (
-        order is None
-        and not _are_beyond_chance(
-            along.error[None], np.zeros(len(readings), dtype=np.intp), degrees
-        )[0]
-    ):
-        return solution
     if order is None:
-        worth = _judge(along.design, along.error, along.shares)
-    else:
-        shares = along.shares[order]
-        (worth,) = _judge_in_time([along.design[order]], [along.error[order]], shares @ shares.T)
+        place = np.zeros(len(readings), dtype=np.intp)
+        found = _are_beyond_chance(along.error[None], place, degrees)[0]
+        return _by_blocks(solution, along.design, along.error) if found else solution
+    shares = along.shares[order]
+    (worth,) = _judge_in_time([along.design[order]], [along.error[order]], shares @ shares.T)
     return _with(solution, [(tuple(range(len(solution.model.outputs))), slice(None), worth)])
 
 
@@ -295,14 +285,18 @@ def _along_the_force(solution: Solution, readings: Readings) -> _Along | None:
 def _never_at_rest(solution: Solution, readings: Readings) -> Solution:
     """Return the solution of rows that follow each other while they turn with U of eq. (6)."""
     along = _along_the_force(solution, readings)
-    p = len(solution.parameters)
     if along is None or len(readings) < 2 * _BLOCKS:
         return solution
     square = readings.environment[TURN_RATE] ** 2
     arm = along.slopes * (square / max(float(square.max()), SMALLEST))[:, None]
     weight = np.ones(len(readings)) if solution.robust_weight is None else solution.robust_weight
     X = np.column_stack([along.design, arm]) * np.sqrt(weight)[:, None]
-    e = along.error * np.sqrt(weight)
+    return _by_blocks(solution, X, along.error * np.sqrt(weight))
+
+
+def _by_blocks(solution: Solution, X: Array, e: Array) -> Solution:
+    """Return the solution with U by eq. (6), of rows whose first columns are of the parameters."""
+    p = len(solution.parameters)
     whole = X.T @ X
     moved = np.array(
         [
@@ -365,23 +359,17 @@ def _with(
     )
 
 
-def _judge(design: Array, error: Array, along: Array | None = None) -> _RowPrecision:
-    """Return the effective number of rows (n, p) of equal variance, by their errors (n,).
-
-    Where errors are components of the noise, `along` (n, 3) has their directions.
-    """
+def _judge(design: Array, error: Array) -> _RowPrecision:
+    """Return the effective number of rows (n, p) of equal variance, by their errors (n,)."""
     n, p = design.shape
     variance = float(error @ error) / (n - p)
-    together = -(-n // (_ROWS if along is None else _TURNED_ROWS))
+    together = -(-n // _ROWS)
     X, e = (_means(rows, together) for rows in (design, error))
     Q, R = np.linalg.qr(X)
     inverse = np.linalg.inv(R)
     plain = np.einsum("ij,ij->i", inverse, inverse) * variance / together
     gains = np.column_stack([Q @ inverse.T, np.full(len(e), 1.0 / len(e))])
-    if along is None:
-        log_weight, variances, of_row = _at_nodes(Q, e, gains)
-    else:
-        log_weight, variances, of_row = _at_turned_nodes(Q, e, gains, _means(along, together))
+    log_weight, variances, of_row = _at_nodes(Q, e, gains)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     half = half_of_mixture(weight[None], variances[None, :, :p])[0]
@@ -538,56 +526,6 @@ def _at_nodes(Q: Array, e: Array, gains: Array) -> tuple[Array, Array, Array]:
             variances.append(s2 * (r * square + 2.0 * next_one * product))
             of_row.append(s2 * r)
     return np.array(logs), np.array(variances), np.array(of_row)
-
-
-def _at_turned_nodes(Q: Array, e: Array, gains: Array, along: Array) -> tuple[Array, Array, Array]:
-    """Return what `_at_nodes` does, of errors along directions (n, 3).
-
-    The last of the columns of B' is of a mean in one direction.
-    """
-    n, p = Q.shape
-    rho = np.repeat(1.0 - np.geomspace(0.9, _LONGEST / n, _TURNED_NODES), len(_TURNED_SHARES))
-    theta = np.tile(_TURNED_SHARES, _TURNED_NODES) * rho
-    slow = (1.0 - rho * theta) * (rho - theta) / (rho * (1.0 - 2.0 * rho * theta + theta**2))
-    size, log_determinant = _filtered(np.column_stack([Q, e]), along, rho, slow)
-    inside = np.log(size[:, :p]).sum(axis=1) + (n - p) * np.log(size[:, p])
-    s2 = size[:, p] ** 2 / (n - p - 2.0)
-    parts = gains[:, :-1, None] * along[:, None, :]
-    columns = np.column_stack([parts.reshape(n, -1), gains[:, -1]])
-    before = np.vstack([np.zeros((1, columns.shape[1])), columns[:-1]])
-    products = np.array(
-        [a * np.einsum("nq,nq->q", columns, recur(before, a)) for a in rho[:: len(_TURNED_SHARES)]]
-    )
-    of_parts = products[:, :-1].reshape(_TURNED_NODES, -1, along.shape[1]).sum(axis=2)
-    product = np.column_stack([of_parts, products[:, -1]]).repeat(len(_TURNED_SHARES), axis=0)
-    square = np.einsum("nq,nq->q", gains, gains)
-    variances = s2[:, None] * (square + 2.0 * slow[:, None] * product)
-    return 0.5 * np.log(1.0 - rho) - 0.5 * log_determinant - inside, variances, s2
-
-
-def _filtered(z: Array, along: Array, rho: Array, slow: Array) -> tuple[Array, Array]:
-    """Return the diagonal (G, k) of the factor of z'R⁻¹z, and ln det R, of errors along directions.
-
-    The state is the slow noise, of variance `slow` (G,) in every direction; a row of variance 1
-    has white noise beside it.
-    """
-    fresh = ((1.0 - rho**2) * slow)[:, None, None] * np.eye(along.shape[1])
-    variance = slow[:, None, None] * np.eye(along.shape[1])
-    state = np.zeros((len(rho), along.shape[1], z.shape[1]))
-    square = np.zeros((len(rho), z.shape[1], z.shape[1]))
-    log_determinant = np.zeros(len(rho))
-    decay = rho[:, None, None]
-    for row, direction in zip(z, along, strict=True):
-        known = variance @ direction
-        whole = known @ direction + (1.0 - slow)
-        new = row - direction @ state
-        gain = (known / whole[:, None])[:, :, None]
-        square += new[:, :, None] * (new / whole[:, None])[:, None, :]
-        log_determinant += np.log(whole)
-        state = decay * (state + gain * new[:, None, :])
-        variance = decay**2 * (variance - gain * known[:, None, :]) + fresh
-    factor = np.linalg.cholesky(square)
-    return np.einsum("gkk->gk", factor), log_determinant
 
 
 def _whitened(z: Array, rho: float, theta: float, r: float) -> Array:

@@ -29,13 +29,14 @@ Source: G. Schwarz, Ann. Statist. 6, 1978.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from multipos.estimation.gains import about_solution, estimator_gain
 from multipos.estimation.likelihood import evaluate, linearise, weigh
+from multipos.estimation.problem import Problem, State
 from multipos.numerics.arrays import SMALLEST, Array, Mask
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian
@@ -60,78 +61,61 @@ def find_time_constant(c: Calibration, elapsed: Array) -> tuple[float, float] | 
         Time of its rows from the first row of the session.
     """
     span = float(np.ptp(elapsed))
-    misfit = _Misfit.about(c)
-    if misfit.nu < _FEWEST or not span > 0.0:
+    problem, state = about_solution(c)
+    readings = float(problem.degrees.sum())
+    nu = readings - problem.unknowns
+    if nu < _FEWEST or not span > 0.0:
         return None
+    misfits = _misfits(c, problem, state)
+
+    def likelihoods(columns: Array) -> Array:
+        return -0.5 * nu * np.log(np.maximum(misfits(columns), SMALLEST))
+
     shortest = _SHORTEST * span / (len(elapsed) - 1)
     nodes = np.linspace(math.log(shortest), math.log(_LONGEST * span), _NODES)
     for _ in range(_GRIDS):
-        log = misfit.likelihoods(np.exp(-elapsed / np.exp(nodes)[:, None]))
+        log = likelihoods(np.exp(-elapsed / np.exp(nodes)[:, None]))
         weights = np.exp(log - log.max())
         mean = float(weights @ nodes / weights.sum())
         variance = float(weights @ (nodes - mean) ** 2 / weights.sum())
         seen = np.flatnonzero(weights > _SEEN)
         low, high = max(seen[0] - 1, 0), min(seen[-1] + 1, _NODES - 1)
         nodes = np.linspace(nodes[low], nodes[high], _NODES)
-    line = float(misfit.likelihoods(elapsed[None] - elapsed.mean())[0])
-    if not log.max() - line > 0.5 * math.log(misfit.readings):
+    line = likelihoods(elapsed[None] - elapsed.mean())[0]
+    if not log.max() - line > 0.5 * math.log(readings):
         return None
     tau = math.exp(mean)
     return tau, tau * math.sqrt(variance)
 
 
-class _Misfit(NamedTuple):
-    """What a fit leaves without its drift, eq. (2)."""
+def _misfits(c: Calibration, problem: Problem, state: State) -> Callable[[Array], Array]:
+    """Return what gives q (K,) of columns c (K, n), eq. (2)."""
+    point = evaluate(problem, state)
+    normal = linearise(problem, state, point)
+    own = parameter_jacobian(c.model, state.theta, point.force, problem.environment)
+    drifts = _drifts(c.model)
+    others = np.append(~drifts, np.ones(normal.shared.shape[2], dtype=np.bool_))
+    A, W = np.concatenate([own, normal.shared], axis=2)[:, :, others], normal.marginal
+    drift = np.outer(problem.environment[DRIFT], _amplitudes(c))
+    back = np.einsum("nij,nj->ni", W, drift)
+    left = weigh(problem.precision, point.residuals)
+    # with the angles that the solution has taken from where positions are listed
+    along = np.einsum("nmi,nm->ni", normal.jacobian, left)
+    sd = np.where(problem.tied, problem.orientation_sd, 0.0)
+    square = np.sum(point.residuals * left) + np.sum((sd[:, None] * along) ** 2)
+    square += np.sum(drift * back)
+    N, gradient = normal.information[np.ix_(others, others)], np.einsum("nma,nm->a", A, back)
 
-    slopes: Array  # A, (n, M, a)
-    precision: Array  # W, (n, M, M)
-    pushed: Array  # W y, (n, M)
-    information: Array  # N, (a, a)
-    gradient: Array  # A'W y, (a,)
-    square: float  # y'W y
-    nu: float
-    readings: float
+    def misfits(columns: Array) -> Array:
+        crossed = np.einsum("kn,nma->kma", columns, W @ A)
+        inside = np.linalg.solve(N, gradient)
+        through = np.linalg.solve(N, crossed.transpose(0, 2, 1))
+        pushed = columns @ (left + back) - crossed @ inside
+        within = np.einsum("kn,nij->kij", columns**2, W) - crossed @ through
+        taken = np.linalg.solve(within, pushed[..., None])[..., 0]
+        return np.asarray(square - gradient @ inside - np.einsum("km,km->k", pushed, taken))
 
-    @classmethod
-    def about(cls, c: Calibration) -> "_Misfit":
-        """Return what a calibration leaves."""
-        problem, state = about_solution(c)
-        point = evaluate(problem, state)
-        normal = linearise(problem, state, point)
-        own = parameter_jacobian(c.model, state.theta, point.force, problem.environment)
-        drifts = _drifts(c.model)
-        others = np.concatenate([~drifts, np.ones(normal.shared.shape[2], dtype=np.bool_)])
-        slopes = np.concatenate([own, normal.shared], axis=2)[:, :, others]
-        drift = np.outer(problem.environment[DRIFT], _amplitudes(c))
-        back = np.einsum("nij,nj->ni", normal.marginal, drift)
-        left = weigh(problem.precision, point.residuals)
-        # the angles that a solution has taken, from where they were listed
-        along = np.einsum("nmi,nm->ni", normal.jacobian, left)
-        inverse = np.where(problem.tied, problem.orientation_sd, 0.0) ** 2
-        square = np.sum(point.residuals * left) + inverse @ np.sum(along**2, axis=1)
-        readings = float(problem.degrees.sum())
-        return cls(
-            slopes=slopes,
-            precision=normal.marginal,
-            pushed=left + back,
-            information=normal.information[np.ix_(others, others)],
-            gradient=np.einsum("nma,nm->a", slopes, back),
-            square=float(square + np.sum(drift * back)),
-            nu=readings - problem.unknowns,
-            readings=readings,
-        )
-
-    def likelihoods(self, columns: Array) -> Array:
-        """Return ln of the likelihood of columns c (K, n)."""
-        weighed = self.precision @ self.slopes
-        crossed = np.einsum("kn,nma->kma", columns, weighed)
-        inside = np.linalg.solve(self.information, self.gradient)
-        through = np.linalg.solve(self.information, crossed.transpose(0, 2, 1))
-        pushed = columns @ self.pushed - crossed @ inside
-        within = np.einsum("kn,nij->kij", columns**2, self.precision) - crossed @ through
-        amplitudes = np.linalg.solve(within, pushed[..., None])[..., 0]
-        left = self.square - self.gradient @ inside - np.einsum("km,km->k", pushed, amplitudes)
-        return np.asarray(-0.5 * self.nu * np.log(np.maximum(left, SMALLEST)))
+    return misfits
 
 
 def _drifts(model: Model) -> Mask:

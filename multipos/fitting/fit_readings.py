@@ -144,8 +144,9 @@ def fit(
         Labels of the positions that are set aside; 'auto' sets single rows aside that do not fit,
         'none' nothing.
     drift : bool
-        Fit a drift of every output beside its terms, per hour from the middle of the session by a
-        column `time`, else per row: a term of the session, which compensation leaves out.
+        Fit a drift of every output beside its terms, which compensation leaves out: a line, per
+        hour from mid-session by a column `time`, else per row, or exp(−t/τ) where that fits better.
+        Biases are then those of the settled sensor (`model.drift`).
     reading_sd : float or M floats, optional
         Standard uncertainty of an averaged reading, in reading units.
     gravity, gravity_u : float [m/s²], optional
@@ -722,15 +723,19 @@ def _settled(
     Each hangs on the other: rows of a sensor that settles are no outliers, and an outlier is no
     drift.
     """
-    line = readings.environment[DRIFT]
+    line, plain = readings.environment[DRIFT], replace(options, stepwise=False, robust=None)
     elapsed = (line - line.min()) * (_HOUR if model.drift_per == "h" else 1.0)
     for _ in range(_ROUNDS):
         apart = find_apart(model, readings, stated_up, exclude)
         # a loss lets rows count less only when it is fitted
-        used = ~(
-            apart if options.robust is None else find_apart(model, readings, stated_up, "auto")
-        )
-        tau = _time_constant(model, select_rows(readings, ~used), elapsed[~used], options)
+        used = ~find_apart(model, readings, stated_up, "auto") if options.robust else ~apart
+        rows = select_rows(readings, used)
+        size = signed_size(model.field, options.convention)
+        try:
+            found = calibrate_at(model, rows, *_with_errors(model, rows, size, plain)[1::-1])
+            tau = find_time_constant(found, elapsed[used])
+        except (MultiposError, np.linalg.LinAlgError):
+            tau = None  # what is wrong is said of the fit itself
         column = line if tau is None else np.exp(-elapsed / tau[0])
         readings = replace(readings, environment={**readings.environment, DRIFT: column})
         model = replace(model, drift_tau=tau)
@@ -740,18 +745,6 @@ def _settled(
 
 
 _ROUNDS = 3  # of the drift and of the rows set aside
-
-
-def _time_constant(
-    model: Model, readings: Readings, elapsed: Array, options: Options
-) -> tuple[float, float] | None:
-    size = signed_size(model.field, options.convention)
-    plain = replace(options, stepwise=False, robust=None)
-    options, stated_up, _ = _with_errors(model, readings, size, plain)
-    try:
-        return find_time_constant(calibrate_at(model, readings, stated_up, options), elapsed)
-    except (MultiposError, np.linalg.LinAlgError):
-        return None  # what is wrong is said of the fit itself
 
 
 def _build(

@@ -143,6 +143,10 @@ def method_rows(c: Calibration) -> list[tuple[str, str]]:
         ("Criterion", c.field.worded(c.criterion)),
         ("Computed", f"{c.created}, multipos {c.version}"),
     ]
+    if c.model.drift_tau is not None:
+        unit = "s" if c.model.drift_per == "h" else "rows"
+        tau = f"{numbers.uncertain(*c.model.drift_tau)} {unit}"
+        rows.append(("Drift", f"exponential, tau = {tau}; biases are those at its end"))
     for name, column in c.readings.environment.items():
         if np.isfinite(column).all():
             rows.append((name, f"{column.min():.6g} … {column.max():.6g}"))

@@ -188,13 +188,11 @@ class Model(StatedModel):
     @property
     def drift(self) -> dict[str, Any] | None:
         """The drift of the session as a file has it: its kind, and the time constant."""
-        if self.drift_per is None:
-            return None
         if self.drift_tau is None:
-            return {"kind": "linear", "tau": None}
+            return None if self.drift_per is None else {"kind": "linear", "tau": None}
         unit = "s" if self.drift_per == "h" else "row"
-        tau, u = self.drift_tau
-        return {"kind": "exponential", "tau": {"value": tau, "u": u, "unit": unit}}
+        tau = dict(zip(("value", "u"), self.drift_tau, strict=True)) | {"unit": unit}
+        return {"kind": "exponential", "tau": tau}
 
     @property
     def equation(self) -> str:

@@ -2,8 +2,8 @@
 
 - `over_temperature` returns a `Curve` of each.
 - `soaks_of`, `find_soaks` and `runs_of` say which rows share a zero, `zeros_in` which of them a fit
-  has, `has_zeros` whether any may;
-  `zeros_of_soaks` returns what these `Zeros` do to a run or to single readings.
+  has, `has_zeros` whether any may; `zeros_of_soaks` returns what
+  these `Zeros` do to a run or to single readings.
 
 In a model with temperature terms the bias of an output is b_1 + b_T T + b_TT T² + …, and its scale
 factor b_x + b_Tx T + …: sums of parameters with weights that T sets. With w(T) those weights and C
@@ -59,7 +59,7 @@ from multipos.sensor.model import Model, parameter_name
 _POINTS = 101
 _SOAK = 2.0  # [degC], by which neighbouring rows of one soak may differ
 _FEWEST = 3  # soaks
-_SEEN = 0.2  # of the length of a soak's column, which must be left beyond the model's terms
+SEEN = 0.2  # of the length of a soak's column, which must be left beyond the model's terms
 
 
 @frozen
@@ -355,7 +355,7 @@ def _soaks(c: Calibration, output: int) -> _Soaks | None:
     Q = np.linalg.qr(X)[0]
     left = Z - Q @ (Q.T @ Z)
     U, d, _ = np.linalg.svd(left, full_matrices=False)
-    basis = U[:, d > _SEEN * np.sqrt(len(Z) / Z.shape[1])]
+    basis = U[:, d > SEEN * np.sqrt(len(Z) / Z.shape[1])]
     q, nu = basis.shape[1], len(Z) - X.shape[1] - basis.shape[1]
     e = c.residuals[:, output]
     explained = float(np.sum((basis.T @ e) ** 2))

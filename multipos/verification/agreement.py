@@ -203,14 +203,6 @@ def _turns(c: Calibration, data: Readings, known: Array) -> Array:
     return np.asarray(np.einsum("nmi,nai->nma", J, np.cross(np.eye(3), known[:, None, :])))
 
 
-def _of_zeros(c: Calibration) -> Array:
-    """Return 1/ν (M,) of parameters beyond that of noise, of few zeros of soaks."""
-    if not has_zeros(c):
-        return np.zeros(len(c.outputs))
-    least = np.array([c.parameter_dof[own].min() for own in c.model.slices])
-    return np.maximum(1.0 / least - 1.0 / c.dof, 0.0)
-
-
 def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimated: Array) -> _Run:
     environment = data.environment
     r = data.values - c.model.predict(c.parameters, known, environment)
@@ -232,7 +224,9 @@ def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimate
     of_zeros = np.mean(by_parameters / whole, axis=0)
     of_soaks = np.mean(np.sum(soaks**2, axis=2) / whole, axis=0)
     with np.errstate(divide="ignore"):
-        nu = 1.0 / (of_noise**2 / c.dof + of_zeros**2 * _of_zeros(c) + of_soaks**2 / q)
+        least = [c.parameter_dof[own].min() for own in c.model.slices] if has_zeros(c) else c.dof
+        more = np.maximum(1.0 / np.asarray(least) - 1.0 / c.dof, 0.0)
+        nu = 1.0 / (of_noise**2 / c.dof + of_zeros**2 * more + of_soaks**2 / q)
     tied = of_orientation.any() or unseen.size or free.size
     return _Run(
         r=(W @ r[:, :, None])[:, :, 0],

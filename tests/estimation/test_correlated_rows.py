@@ -168,36 +168,6 @@ def test_sums_of_neighbours_are_rejected_as_often_as_chance_says():
     assert correlated_rows._of_means(met, 4, np.array([1 / 3, 1 / 3])) == pytest.approx(by_hand)
 
 
-def test_noise_along_forces_against_dense_matrices():
-    """R_jk u_j·u_k written out in full, of every law; the last gain is a mean in one direction."""
-    rng = np.random.default_rng(4)
-    n, p = 25, 3
-    along = rng.standard_normal((n, 3))
-    along /= np.linalg.norm(along, axis=1)[:, None]
-    X, e = rng.standard_normal((n, p)), rng.standard_normal(n)
-    Q = np.linalg.qr(X)[0]
-    e -= Q @ (Q.T @ e)
-    gains = np.column_stack([X @ np.linalg.inv(X.T @ X), np.full(n, 1.0 / n)])
-    logs, variances, _ = correlated_rows._at_turned_nodes(Q, e, gains, along)
-    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-    expected = []
-    for rho in 1.0 - np.geomspace(0.9, 0.4 / n, correlated_rows._TURNED_NODES):
-        for theta in rho * np.array(correlated_rows._TURNED_SHARES):
-            c = (1.0 - rho * theta) * (rho - theta) / (rho * (1.0 - 2.0 * rho * theta + theta**2))
-            R = np.where(lag == 0, 1.0, c * rho**lag)
-            V = R * (along @ along.T)
-            inverse = np.linalg.inv(V)
-            inside = Q.T @ inverse @ Q
-            left = e @ inverse @ e
-            left -= e @ inverse @ Q @ np.linalg.solve(inside, Q.T @ inverse @ e)
-            log = -0.5 * (np.linalg.slogdet(V)[1] + np.linalg.slogdet(inside)[1])
-            s2 = left / (n - p - 2.0)
-            whole = log - (n - p) / 2.0 * math.log(left) + 0.5 * math.log(1.0 - rho)
-            own = np.diag(gains[:, :-1].T @ V @ gains[:, :-1])
-            expected.append((whole, *(s2 * own), s2 * (gains[:, -1] @ R @ gains[:, -1])))
-    assert_allclose(np.column_stack([logs, variances]), expected, rtol=1e-8, atol=1e-8)
-
-
 def test_the_effective_number_of_rows_by_dense_matrices():
     # eq. (4) of estimation.correlated_rows
     rng = np.random.default_rng(5)

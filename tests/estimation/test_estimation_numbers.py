@@ -11,12 +11,11 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import betainc, betaln
-from scipy.stats import chi2, t
+from scipy.stats import chi2
 
 import multipos as mp
 from multipos.estimation import (
     batches,
-    correlated_rows,
     known,
     noise,
     outliers,
@@ -130,18 +129,6 @@ class Found:
     model: object
     dof: np.ndarray
     parameter_dof: np.ndarray
-    variance_components: object = None
-
-
-@dataclass
-class Correlated:
-    model: object
-    dof: np.ndarray
-    parameters: np.ndarray
-    parameter_dof: np.ndarray
-    residuals: np.ndarray
-    covariance: np.ndarray
-    inflation: np.ndarray
     variance_components: object = None
 
 
@@ -265,28 +252,6 @@ def density_of(middle, sd, at):
 
 
 # --- rows that are correlated
-
-
-def test_fewer_rows_widen_what_they_are_of():
-    """U by the ratio and by what fewer degrees of freedom leave of it, of the outputs judged."""
-    solution = Correlated(
-        model=SimpleNamespace(outputs=("a", "b")), dof=np.array([20.0, 30.0]),
-        parameters=np.zeros(3), parameter_dof=np.array([20.0, 20.0, 30.0]),
-        residuals=np.zeros((25, 2)), covariance=np.ones((3, 3)),
-        inflation=np.array([1.0, 2.0, 3.0]),
-    )  # fmt: skip
-    worth = correlated_rows._RowPrecision(np.array([1.7, 1.2]), 6.0, 11.0)
-    found = correlated_rows._with(solution, [((0,), slice(0, 2), worth)])
-    k = t.ppf(0.975, 20.0) / t.ppf(0.975, 6.0)
-    ratio = np.array([1.7 * k, 1.2 * k, 1.0])
-    assert_allclose(found.covariance, np.outer(ratio, ratio), rtol=1e-6)
-    assert_allclose(found.inflation, ratio * [1.0, 2.0, 3.0], rtol=1e-6)
-    assert (found.dof.tolist(), found.parameter_dof.tolist()) == ([6.0, 30.0], [6.0, 6.0, 30.0])
-    assert found.variance_components.effective_rows == {"a": 11.0, "b": 25.0}
-    more = correlated_rows._RowPrecision(np.array([1.7, 1.2]), 90.0, None)
-    same = correlated_rows._with(solution, [((0,), slice(0, 2), more)])
-    assert same.dof.tolist() == [20.0, 30.0]
-    assert same.variance_components is None
 
 
 @pytest.mark.parametrize(("u", "said"), [(9.9e-3, True), (1.1e-2, False)])
@@ -822,87 +787,6 @@ def test_what_weights_make_of_outputs_of_one_design():
         wanted = np.linalg.lstsq(X / root[:, None], values / root, rcond=None)[0]
         assert_allclose(own, wanted, rtol=1e-7)
         assert_allclose(left, values - X @ wanted, atol=1e-7)
-
-
-@pytest.mark.parametrize("timed", [False, True])
-def test_the_misfit_along_the_force_is_what_is_asked_for_correlation(timed, monkeypatch):
-    """n'e of M'n = f over its sd, and how parameters move it, by a solution for each row."""
-    rng = np.random.default_rng(7)
-    n = 15
-    model = build_model("linear", ("a", "b", "c"), ("x", "y", "z"))
-    M = np.array([[2.0, 0.1, -0.2], [0.3, -1.4, 0.2], [0.1, 0.2, 0.8]])
-    theta = np.column_stack([[0.1, 0.2, 0.3], M]).ravel()
-    force, residuals = rng.normal(size=(n, 3)), 0.1 * rng.normal(size=(n, 3))
-    sd = rng.uniform(0.5, 2.0, (n, 3))
-    order = rng.permutation(n) if timed else None
-    seen = {}
-    monkeypatch.setattr(correlated_rows, "sd_of_rows", lambda *those: sd)
-    monkeypatch.setattr(correlated_rows, "_with", lambda solution, found: found)
-    monkeypatch.setattr(
-        correlated_rows, "_are_beyond_chance", lambda *those: seen.update(asked=those) or [True]
-    )
-    monkeypatch.setattr(correlated_rows, "_judge", lambda *those: seen.update(judged=those))
-    monkeypatch.setattr(
-        correlated_rows, "_judge_in_time", lambda *those: seen.update(judged=those) or (None,)
-    )
-    solution = SimpleNamespace(
-        model=model, parameters=theta, reference=force, residuals=residuals, covariance=None
-    )
-    given = mp.Readings(force @ M.T, outputs=("a", "b", "c"), unit="g")
-    (found,) = correlated_rows._unknown(solution, given, order)
-    assert found == ((0, 1, 2), slice(None), None)
-    normal = np.array([np.linalg.solve(M.T, f) for f in force])
-    normal /= np.linalg.norm(normal * sd, axis=1)[:, None]
-    A = np.array([np.kron(m, np.append(1.0, f)) for m, f in zip(normal, force, strict=True)])
-    e = np.sum(normal * residuals, axis=1)
-    sign = np.sign(np.linalg.det(M))
-    if timed:
-        (design,), (error,), along = seen["judged"]
-        assert_allclose(along, (normal * sd)[order] @ (normal * sd)[order].T, atol=1e-12)
-        A, e = A[order], e[order]
-    else:
-        design, error, along = seen["judged"]
-        assert_allclose(along * sign, normal * sd, atol=1e-12)
-        assert_allclose(seen["asked"][0][0], error)
-        assert seen["asked"][2] == 15.0 - 12.0
-    assert_allclose(design * sign, A, atol=1e-12)
-    assert_allclose(error * sign, e, atol=1e-12)
-    solution.residuals = 0.5e-12 * np.abs(given.values).max() * np.sign(residuals)
-    assert correlated_rows._unknown(solution, given, order) is solution
-
-
-def test_rows_in_time_are_asked_by_their_own_noise(monkeypatch):
-    rng = np.random.default_rng(3)
-    up = mp.read_scheme("fibonacci-9").up
-    model = build_model("1 + own", ("a", "b", "c"), ("x", "y", "z"))
-    residuals, sd = 0.1 * rng.normal(size=(9, 3)), rng.uniform(0.5, 2.0, (9, 3))
-    order, seen = rng.permutation(9), {}
-    monkeypatch.setattr(correlated_rows, "sd_of_rows", lambda *those: sd)
-    monkeypatch.setattr(correlated_rows, "_with", lambda solution, found: found)
-    monkeypatch.setattr(
-        correlated_rows, "_judge_in_time", lambda *those: seen.update(judged=those) or "xyz"
-    )
-    solution = SimpleNamespace(model=model, reference=up, residuals=residuals)
-    given = mp.Readings(up, up=up, outputs=("a", "b", "c"), unit="g")
-    found = correlated_rows._known_in_time(solution, given, order)
-    assert found == [((i,), model.slices[i], "xyz"[i]) for i in range(3)]
-    designs, errors, _ = seen["judged"]
-    for i in range(3):
-        X = np.column_stack([np.ones(9), up[:, i]]) / sd[:, [i]]
-        assert_allclose(designs[i], X[order])
-        assert_allclose(errors[i], (residuals[:, i] / sd[:, i])[order])
-    for size, asked in ((0.9e-12, False), (1.1e-12, True)):
-        solution.residuals = residuals.copy()
-        solution.residuals[:, 1] = size * np.abs(up[:, 1]).max()
-        assert (correlated_rows._known_in_time(solution, given, order) is solution) is not asked
-    few = SimpleNamespace(model=model, reference=up[:4], residuals=residuals[:4])
-    some = mp.Readings(up[:4], up=up[:4], outputs=("a", "b", "c"), unit="g")
-    monkeypatch.setattr(correlated_rows, "sd_of_rows", lambda *those: sd[:4])
-    assert correlated_rows._known_in_time(few, some, np.arange(4)) is not few
-    few.residuals, few.reference = residuals[:3], up[:3]
-    some = mp.Readings(up[:3], up=up[:3], outputs=("a", "b", "c"), unit="g")
-    monkeypatch.setattr(correlated_rows, "sd_of_rows", lambda *those: sd[:3])
-    assert correlated_rows._known_in_time(few, some, np.arange(3)) is few
 
 
 def test_which_weights_the_short_way_has_digits_for():

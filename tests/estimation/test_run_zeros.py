@@ -29,7 +29,6 @@ def codes(c):
 def test_the_bias_is_a_mean_of_runs_with_the_u_of_that_mean():
     """Zeros far beyond the noise: t s/√R of four means on 3 degrees of freedom, by hand."""
     # eq. (2) of estimation.run_zeros
-    # eq. (3) of estimation.run_zeros
     zeros = np.array([[3, -1, 0], [-2, 4, 1], [1, -3, 2], [5, 2, -4]]) * 0.1
     readings = runs_of(zeros)
     c = mp.fit(readings)

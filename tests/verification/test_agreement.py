@@ -286,7 +286,10 @@ def test_degrees_of_freedom_of_a_step_by_its_share_from_soaks(nu):
     s = 1.0 - whole / known
     free = np.zeros((7, 0))
     model = SimpleNamespace(output_of=(0, 1))
-    c = SimpleNamespace(parameters=np.zeros(2), dof=np.array([nu, 40.0]), model=model)
+    c = SimpleNamespace(
+        parameters=np.zeros(2), dof=np.array([nu, 40.0]), model=model,
+        parameter_dof=np.full(2, math.inf),
+    )  # fmt: skip
     run = SimpleNamespace(soaks=1, q=np.array([3.0, 5.0]))
     found = _dof_of_steps(c, run, _Weights(L, free), [L, free, X, None])
     expected = 1.0 / (s**2 / [3.0, 5.0] + (1.0 - s) ** 2 / min(nu, 40.0))

@@ -1,0 +1,142 @@
+"""A session's drift: a line or an exponential, by dense least squares and by coverage."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.sensor.calibration_file import from_dict
+
+EXACT = {"orientation_sd": 0, "exclude": "none"}
+NOISE = 1e-4  # g
+WARM = 1e-3 * np.array([1.0, 0.7, -0.5])
+
+
+def session(seed, *, n=24, tau=0.2, warm=WARM, noise=NOISE, timed=True):
+    """Return columns of rows a minute apart, τ as a share of the session, and the truth."""
+    rng = np.random.default_rng([seed, n])
+    up = rng.permutation(mp.read_scheme(f"fibonacci-{n}").up)
+    K = np.eye(3) + 0.01 * rng.standard_normal((3, 3))
+    zero = 0.02 * rng.standard_normal(3)
+    t = np.linspace(0.0, 1.0, n)
+    values = zero + up @ K.T + noise * rng.standard_normal((n, 3))
+    values += np.exp(-t / tau)[:, None] * warm
+    names = ("ax", "ay", "az", "up_x", "up_y", "up_z")
+    columns = dict(zip(names, np.hstack([values, up]).T, strict=True))
+    if timed:
+        columns["time"] = 60.0 * (n - 1.0) * t + 5000.0
+    return columns, zero, K
+
+
+def test_tau_is_that_of_dense_least_squares_and_u_holds_it():
+    # eqs. (1), (2), (3) of estimation.session_drift
+    columns, *_ = session(1, timed=False)
+    c = mp.fit(columns, unit="g", drift=True, **EXACT)
+    tau, u = c.model.drift_tau
+    t = np.arange(24.0)
+    y = np.column_stack([columns[name] for name in ("ax", "ay", "az")])
+    X = np.column_stack([np.ones(24), *(columns[f"up_{axis}"] for axis in "xyz")])
+
+    def left(column):
+        whole = np.column_stack([X, column])
+        return np.sum((y - whole @ np.linalg.lstsq(whole, y, rcond=None)[0]) ** 2, axis=0)
+
+    grid = np.linspace(np.log(0.25 * tau), np.log(4.0 * tau), 2001)
+    sizes = left(np.exp(-t / tau))  # by which outputs are weighed
+    q = np.array([np.sum(left(np.exp(-t / np.exp(each))) / sizes) for each in grid])
+    weight = q ** (-(72.0 - 15.0) / 2.0)
+    weight /= weight.sum()
+    mean = weight @ grid
+    assert_allclose(np.log(tau), mean, atol=0.02 * u / tau)
+    assert_allclose(u / tau, np.sqrt(weight @ (grid - mean) ** 2), rtol=0.02)
+    column = np.exp(-t / tau)
+    B = np.linalg.pinv(np.column_stack([X, column]))
+    plain = np.sqrt(sizes / 19.0 * (B[0] @ B[0]))
+    amplitude = np.array([c[f"drift_a{axis}"].value for axis in "xyz"])
+    moved = (B[0] @ (column * t / tau)) * amplitude * u / tau
+    biases = np.array([c[f"bias_a{axis}"].u for axis in "xyz"])
+    assert_allclose(biases, np.hypot(plain, moved), rtol=1e-8)
+
+
+@pytest.mark.parametrize(("timed", "unit"), [(True, "s"), (False, "row")])
+def test_the_drift_is_in_files_and_left_out_of_the_sensor(timed, unit, tmp_path):
+    columns, zero, K = session(2, timed=timed)
+    c = mp.fit(columns, unit="g", drift=True)
+    c.save(tmp_path / "c.json")
+    said = json.loads((tmp_path / "c.json").read_text())
+    tau = said["drift"]["tau"]
+    assert (said["drift"]["kind"], tau["unit"]) == ("exponential", unit)
+    assert abs(tau["value"] - 0.2 * 23.0 * (60.0 if timed else 1.0)) < 3.0 * tau["u"]
+    assert c["drift_ax"].unit == "g"
+    assert abs(c["drift_ax"].value - WARM[0]) < c["drift_ax"].U
+    assert mp.load(tmp_path / "c.json") == c
+    settled = zero + 0.5 * K[:, 0]
+    assert_allclose(c.compensate(settled[None])[0], [0.5, 0.0, 0.0], rtol=0, atol=2e-4)
+    code = mp.export(c, "c").text
+    assert "drift" not in code
+    mp.report(c, tmp_path / "c.md")
+    assert "exponential, tau = " in (tmp_path / "c.md").read_text()
+    line = mp.fit(session(3, warm=0.0 * WARM)[0], unit="g", drift=True)
+    content = line.to_dict()
+    assert content["drift"] == {"kind": "linear", "tau": None}
+    del content["drift"]  # as files were
+    assert from_dict(content) == line
+
+
+def test_a_bad_row_is_no_drift_and_a_warm_up_no_bad_row():
+    columns, zero, _ = session(4)
+    columns["ay"][14] += 0.02
+    c = mp.fit(columns, unit="g", drift=True)
+    assert [each.row for each in c.excluded] == [15]
+    assert c.model.drift["kind"] == "exponential"
+    biases = [c[f"bias_a{axis}"] for axis in "xyz"]
+    assert all(abs(p.value - b) < 1.5 * p.U for p, b in zip(biases, zero, strict=True))
+
+
+def test_units_of_a_fleet_drift_as_by_themselves():
+    parts = [session(seed)[0] | {"unit": np.repeat(f"u{seed}", 24)} for seed in (6, 7)]
+    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    found = mp.fit_many(table, unit_column="unit", drift=True)
+    for i, part in enumerate(parts):
+        c = mp.fit({name: each for name, each in part.items() if name != "unit"}, drift=True)
+        assert_allclose([found[name][i] for name in c.names], c.parameters, rtol=1e-9)
+        assert_allclose([found[f"u_{name}"][i] for name in c.names], c.u, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("n", "options"),
+    [
+        *((12, EXACT), (24, EXACT), (24, {}), (24, {"unknown_orientation": True})),
+        *((24, {"robust": "huber"}), (24, {"orientation_sd": 0.02})),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("sets", [10, pytest.param(60, marks=pytest.mark.slow)])
+def test_u_covers_the_settled_sensor(n, options, sets):
+    """A warm-up of 1 mg over a fifth of the session; of 30 and 180 biases 95 %, less 4 sd."""
+    inside = []
+    for seed in range(sets):
+        columns, zero, _ = session(seed, n=n, timed=seed % 2 == 0)
+        if "unknown_orientation" in options:
+            columns = {name: each for name, each in columns.items() if "up" not in name}
+        c = mp.fit(columns, unit="g", drift=True, **options)
+        if c.model.drift_tau is None:  # a line, in mid-session
+            zero = zero + np.exp(-2.5) * WARM
+        biases = [c[f"bias_a{axis}"] for axis in "xyz"]
+        inside += [abs(p.value - b) <= p.U for p, b in zip(biases, zero, strict=True)]
+    assert np.mean(inside) > 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / len(inside))
+
+
+@pytest.mark.parametrize("sets", [12, pytest.param(80, marks=pytest.mark.slow)])
+def test_a_line_stays_one(sets):
+    """Of healthy sets one in ten has an exponential that fits as well as chance lets it."""
+    kinds = []
+    for seed in range(sets):
+        columns, *_ = session(seed, warm=0.0 * WARM)
+        for name in ("ax", "ay", "az"):
+            columns[name] += 1e-3 * np.linspace(-0.5, 0.5, 24)
+        c = mp.fit(columns, unit="g", drift=True, **EXACT)
+        kinds.append(c.model.drift["kind"])
+    assert kinds.count("exponential") <= 0.1 * sets + 1
