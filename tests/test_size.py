@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "multipos"
 
-ALL, TESTS = 51_159, 45_859
+ALL, TESTS = 51_243, 45_859
 
 # By room; what stands beside the rooms counts with the commands.
 CEILINGS = {
@@ -25,21 +25,21 @@ CEILINGS = {
     "compensation": 781,
     "designs": 1734,
     "diagnostics": 3925,
-    "estimation": 5861,
+    "estimation": 5906,
     "exports": 2446,
     "files": 3029,
-    "fitting": 1407,
-    "fleets": 3312,
+    "fitting": 1437,
+    "fleets": 3314,
     "logs": 4116,
     "numerics": 1767,
     "page": 466,
     "plots": 1320,
     "positions": 2389,
     "regression": 2205,
-    "reports": 2687,
-    "sensor": 3735,
+    "reports": 2691,
+    "sensor": 3734,
     "uncertainty": 1758,
-    "verification": 2498,
+    "verification": 2502,
 }
 
 _NO_CODE = (

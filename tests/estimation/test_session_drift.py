@@ -69,13 +69,11 @@ def test_the_drift_is_in_files_and_left_out_of_the_sensor(timed, unit, tmp_path)
     tau = said["drift"]["tau"]
     assert (said["drift"]["kind"], tau["unit"]) == ("exponential", unit)
     assert abs(tau["value"] - 0.2 * 23.0 * (60.0 if timed else 1.0)) < 3.0 * tau["u"]
-    assert c["drift_ax"].unit == "g"
     assert abs(c["drift_ax"].value - WARM[0]) < c["drift_ax"].U
     assert mp.load(tmp_path / "c.json") == c
     settled = zero + 0.5 * K[:, 0]
     assert_allclose(c.compensate(settled[None])[0], [0.5, 0.0, 0.0], rtol=0, atol=2e-4)
-    code = mp.export(c, "c").text
-    assert "drift" not in code
+    assert "drift" not in mp.export(c, "c").text
     mp.report(c, tmp_path / "c.md")
     assert "exponential, tau = " in (tmp_path / "c.md").read_text()
     line = mp.fit(session(3, warm=0.0 * WARM)[0], unit="g", drift=True)
@@ -91,8 +89,7 @@ def test_a_bad_row_is_no_drift_and_a_warm_up_no_bad_row():
     c = mp.fit(columns, unit="g", drift=True)
     assert [each.row for each in c.excluded] == [15]
     assert c.model.drift["kind"] == "exponential"
-    biases = [c[f"bias_a{axis}"] for axis in "xyz"]
-    assert all(abs(p.value - b) < 1.5 * p.U for p, b in zip(biases, zero, strict=True))
+    assert (np.abs(c.parameters[::5] - zero) < 1.5 * c.U[::5]).all()
 
 
 def test_units_of_a_fleet_drift_as_by_themselves():
