@@ -2,9 +2,9 @@
 
 `missing_term` names the terms that the data ask for, `hidden_terms` those that the positions cannot
 show and `not_stated` those of them that the budget lacks, on which `find_hidden` is the note;
-`largest_coefficients` says how large they can be, and `are_better_with` where terms lower the
-errors at rows left out. `zero_per_soak` finds a zero that differs from soak to soak, which
-`judge_soaks` tests; `columns_of` are the columns of kinds of terms.
+`are_better_with` says where terms lower the errors at rows left out. `zero_per_soak` finds a zero
+that differs from soak to soak, which `judge_soaks` tests; `columns_of` are the columns of kinds of
+terms.
 
 A term that is missing spoils compensated force by as much as it is large, and no U of the
 parameters holds it: with a linear model and 2 mg of third order, U covers 58 % at 24 positions and
@@ -118,7 +118,6 @@ def columns_of(
 
 
 _MOST = 3  # terms named
-_LARGEST = 0.05  # of the scale factor, that a term of force may be
 _ALONE = 1e-6  # of 1 − leverage, where a row alone fixes a parameter
 _SEPARATE = 1e-9  # of a column, that the others leave of it
 _AS_GOOD = 6.6  # of twice the logarithm of the likelihood: the 99 % point of chi² on one degree
@@ -193,10 +192,9 @@ def _named(c: Calibration, best: Sequence[ModelTest]) -> tuple[str, ...]:
 
 
 def _is_admissible(c: Calibration, named: tuple[str, ...]) -> bool:
-    """Tell whether a sensor can have these terms, and the fit with them is better for it.
+    """Tell whether the fit with these terms is better for it.
 
-    They are fitted: positions show them, no coefficient of force is beyond what sensors have, and
-    the errors at rows that are left out are smaller.
+    They are fitted: positions show them, and the errors at rows that are left out are smaller.
     """
     if any(name in c.diagnostics.hidden for name in named):
         return False
@@ -211,26 +209,18 @@ def _is_admissible(c: Calibration, named: tuple[str, ...]) -> bool:
     if not (np.isfinite(root).all() and size.all()):  # no residuals, or no linear response
         return False
     phi = c.model.basis(c.reference, c.readings.environment)
-    bases, added, largest, residuals = [], [], [], []
+    bases, added, residuals = [], [], []
     for i, own in enumerate(c.model.columns):
         weight = root[:, [i]]
         bases.append(np.linalg.qr(phi[:, own] * weight)[0])
         added.append(columns_of(kinds, i, c.reference, c.readings.environment) * weight)
-        largest.append(largest_coefficients(kinds, i)[:, None] * size[i])
         residuals.append(c.residuals[:, [i]] * weight)
-    return bool(are_better_with(bases, added, largest, residuals)[0])
-
-
-def largest_coefficients(kinds: Sequence[Kind], output: int) -> Array:
-    """Return how large coefficients (k,) of terms of a sensor can be, per scale factor."""
-    terms = [term for kind in kinds for term in kind.terms[output]]
-    return np.array([np.inf if term.environment else _LARGEST for term in terms])
+    return bool(are_better_with(bases, added, residuals)[0])
 
 
 def are_better_with(
     bases: Sequence[Array],
     added: Sequence[Array],
-    largest: Sequence[Array],
     residuals: Sequence[Array] | Array,
 ) -> Mask:
     """Tell in which units (B,) further terms lower the errors at rows that are left out.
@@ -239,14 +229,11 @@ def are_better_with(
     ----------
     bases, added : M arrays (n, p), (n, k)
         Q of the model's design, and columns of the terms.
-    largest : M arrays (k, B) or (k, 1)
-        That a coefficient can be.
     residuals : M arrays (n, B)
         Of the model.
     """
-    better = np.ones(residuals[0].shape[1], dtype=np.bool_)
-    ratio = np.zeros(len(better))
-    for Q, Z, most, e in zip(bases, added, largest, residuals, strict=True):
+    ratio = np.zeros(residuals[0].shape[1])
+    for Q, Z, e in zip(bases, added, residuals, strict=True):
         if not Z.shape[1]:
             ratio += 1.0
             continue
@@ -254,13 +241,12 @@ def are_better_with(
         unit = Z / np.where(length > 0.0, length, 1.0)
         T, R = np.linalg.qr(unit - Q @ (Q.T @ unit))
         if len(Q) < Q.shape[1] + Z.shape[1] or np.abs(np.diag(R)).min() < _SEPARATE:
-            return np.zeros_like(better)
+            return np.zeros(len(ratio), dtype=np.bool_)
         along, left = T.T @ e, 1.0 - np.einsum("np,np->n", Q, Q)
-        better &= (np.abs(np.linalg.solve(R, along) / length[:, None]) <= most).all(axis=0)
         before = _left_out(e, left)
         after = _left_out(e - T @ along, left - np.einsum("nk,nk->n", T, T))
         ratio += after / np.where(before > 0.0, before, 1.0)
-    return np.asarray(better & (ratio < len(residuals)))
+    return np.asarray(ratio < len(residuals))
 
 
 def _left_out(residuals: Array, left: Array) -> Array:

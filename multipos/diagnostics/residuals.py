@@ -75,12 +75,13 @@ def outlier(c: Calibration, *, sought: bool = False) -> Finding | None:
     if not found or not np.any(noise):
         return None
     more = f"; and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+    rows = _named_in(found, c.readings.labels)
     return Finding(
         "outlier",
         "warning",
         f"{'; '.join(found[:_NAMED])}{more}",
-        "Measure again, omit it, or fit with --robust huber.",
-        rows=_named_in(found, c.readings.labels),
+        f"Measure again, or set aside with --exclude {','.join(rows)}.",
+        rows=rows,
     )
 
 

@@ -51,6 +51,7 @@ _Kinds = tuple[projections.Kind, ...]
 LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
 # of the readings' span: what scatters less is rounded, and rounding follows no law
 FINEST = 3e-7
+_SPARSE = 0.1  # of the level, where next to nothing is left to judge by
 _LARGEST = 1e30  # of R, where nothing is left
 _SLIGHT = 0.02  # mean square of a term at the positions, a third of what x y has all around
 CLEAR = 0.005  # of a column's square: with as much left of it no term is hidden
@@ -165,7 +166,16 @@ def significant(tests: Sequence[ModelTest]) -> tuple[ModelTest, ...]:
     if not tests:
         return ()
     level = 1.0 - (1.0 - LEVEL) ** (1.0 / len(tests))
-    return tuple(sorted((t for t in tests if t.p < level), key=lambda t: (t.p, -t.gain)))
+    found = (t for t in tests if t.p < (_SPARSE * level if is_sparse(t) else level))
+    return tuple(sorted(found, key=lambda t: (t.p, -t.gain)))
+
+
+def is_sparse(test: ModelTest) -> bool:
+    """Tell whether an output has one number left to judge by, as at six faces.
+
+    Noise that is larger at some positions than at others explains as much there.
+    """
+    return min(nu for _, nu in test.dofs) < 2.0
 
 
 def _at_known(c: Calibration, kinds: _Kinds, added: tuple[str, ...]) -> Tested:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.diagnostics import projections
-from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
+from multipos.diagnostics.model_error import are_better_with, columns_of
 from multipos.diagnostics.row_order import Plan, plan_of, search_units
 from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
 from multipos.diagnostics.variances import Residuals, across_the_force
@@ -50,6 +50,7 @@ _NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
 DOUBTED = 1e-3  # of a limit: what noise that has converged leaves open of a test
 _LEAST = 1e-300  # of a probability
 _DOUBTFUL = 0.02  # level of causes: slopes and noise of a plan are those of another unit
+_SPARE = 3.0  # degrees of freedom of an output: of fewer one is left beside a term, or none
 _CLOSE = 1.0  # of S, within which causes are as good
 _CONCENTRATED = 1.2, 1.55  # times the kurtosis of noise, where chi-squared rejects it, or not
 
@@ -181,10 +182,10 @@ def find_in_units(
         singly |= _lack_of_fit(tests, shared, of.residuals)
         if not tests.stated and sorted(shared.model.axes) == list(COMPONENTS):
             singly |= _off_positions(shared, found.parameters, of.residuals) & ~lacks
-    if tests.soaks or of.leverage is not None:
+    if tests.soaks or of.leverage is not None or shared.dof.min() < _SPARE:
         singly |= lacks
     asked = significant & ~singly[:, None]
-    missing = _admissible(tests, shared, found.sensitivity, of.residuals, asked)
+    missing = _admissible(tests, shared, of.residuals, asked)
     return UnitFindings({"missing-term": missing}, singly)
 
 
@@ -262,11 +263,10 @@ def _weigh(tests: UnitTests, shared: SharedDesign, found: Estimates) -> _Weighed
 
 
 def _admissible(
-    tests: UnitTests, shared: SharedDesign, sensitivity: Array, residuals: Array, significant: Mask
+    tests: UnitTests, shared: SharedDesign, residuals: Array, significant: Mask
 ) -> Mask:
     """Return of which units (B,) one of the kinds (B, K) is a term that a sensor can have."""
     found = np.zeros(len(significant), dtype=np.bool_)
-    size = np.linalg.norm(sensitivity, axis=2).T
     bases = [each.Q for each in shared.by_output]
     for place in np.flatnonzero(significant.any(axis=0)).tolist():
         assert tests.projection is not None
@@ -275,12 +275,11 @@ def _admissible(
             continue
         kinds = [kind for kind in tests.kinds if kind.name == name]
         units = np.flatnonzero(significant[:, place] & ~found)
-        added, largest = [], []
-        for i in range(len(residuals)):
-            added.append(columns_of(kinds, i, shared.reference, shared.environment))
-            largest.append(np.outer(largest_coefficients(kinds, i), size[i, units]))
+        added = [
+            columns_of(kinds, i, shared.reference, shared.environment) for i in range(len(bases))
+        ]
         left = residuals[:, units].transpose(0, 2, 1)
-        found[units] = are_better_with(bases, added, largest, left)
+        found[units] = are_better_with(bases, added, left)
     return found
 
 

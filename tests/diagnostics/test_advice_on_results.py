@@ -781,6 +781,16 @@ def a_sign_that_was_lost(rng):
     yield plain(values)
 
 
+@follows("flipped-direction", "Correct the sign")
+def a_sign_of_one_component(rng):
+    values, listed = sense(rng), UP.copy()
+    listed[9, 1] *= -1.0
+    finding = yield plain(values, listed)
+    listed[int(finding.rows[0]) - 1, 1] *= -1.0
+    assert (listed == UP).all()
+    yield plain(values, listed)
+
+
 @follows("repeated-rows", "Measure them again")
 def a_row_that_was_written_twice(rng):
     values = sense(rng)
@@ -1015,7 +1025,7 @@ def a_chamber_with_another_profile(rng):
 OF_ADVICE = {
     "flipped-row": "Reverse",
     "interchanged-rows": "Exchange",
-    "outlier": "Measure again, omit",
+    "outlier": "Measure again",
     "repeated-rows": "Remove the copies",
     "table": "Correct the angles",
     "turned": "Confirm",
