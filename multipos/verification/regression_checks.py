@@ -44,7 +44,7 @@ from multipos.regression.correlation import TimeOrder, time_order
 from multipos.regression.observations import Rows
 from multipos.regression.prediction import place_rows
 from multipos.regression.regression import Regression, Regressions, all_of
-from multipos.regression.segment import format_span
+from multipos.regression.segment import Between, format_span
 from multipos.regression.whitening import Law, Whitening, find_noise
 from multipos.results import Frozen
 from multipos.verification.agreement import RATE, Agreement, no_agreement, root_of
@@ -223,22 +223,25 @@ def _judge_run(
 
 
 def _rows(r: Regression, columns: Mapping[str, Array], place: Rows, e: Array, run: Rows) -> _Rows:
-    blocks, uncertain = [], []
-    between: Array | None = None
+    blocks, uncertain, smallest = [], [], _between(r)
+    size = 0 if smallest is None else len(smallest.covariance)
+    between = np.zeros((len(e), size))
     for i, s in enumerate(r.segments):
         mine = np.flatnonzero(place == i)
         block = np.zeros((len(e), len(s.terms)))
         block[mine] = s.design(columns, mine)
         blocks.append(block)
         uncertain.append(block @ root_of(s.robust_covariance))
-        if s.between is not None and len(mine):
-            z = s.between.columns(columns, mine)
-            between = np.zeros((len(e), z.shape[1])) if between is None else between
-            between[mine] = z
-    Z = np.zeros((len(e), 0))
-    if between is not None:
-        Z = np.hstack([between * (run == label)[:, None] for label in np.unique(run)])
+        if s.between is not None:
+            between[mine] = s.between.columns(columns, mine)[:, :size]
+    Z = np.hstack([between * (run == label)[:, None] for label in np.unique(run)])
     return _Rows(e, np.hstack(blocks), np.hstack(uncertain), Z)
+
+
+def _between(r: Regression) -> Between | None:
+    """Return what runs differ by in every segment: a slope only where it is identifiable in all."""
+    known = [s.between for s in r.segments if s.between is not None]
+    return min(known, key=lambda each: len(each.covariance), default=None)
 
 
 def _judge_by(r: Regression, rows: _Rows, white: Whitening) -> Agreement | None:
@@ -261,7 +264,7 @@ def _judge_by(r: Regression, rows: _Rows, white: Whitening) -> Agreement | None:
     fewest = min(s.robust_dof for s in r.segments)
     Q_terms = _weighed(b, s2 * np.eye(len(b)) + moves @ moves.T)
     outcome = [(Q_terms, float(len(b)), min(float(nu), fewest))]
-    between = next((s.between for s in r.segments if s.between is not None), None)
+    between = _between(r)
     if between is not None and Z.shape[1]:
         k = len(between.covariance)
         inverse = np.linalg.pinv(Z)

@@ -1,6 +1,5 @@
 """C of regressions against Python: rates, segments, branches and limits, row by row."""
 
-import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -13,7 +12,6 @@ from test_exporters import SANITIZERS, WARNINGS, made
 
 import multipos as mp
 from multipos.errors import MultiposError, UsageError
-from multipos.exports import target_correction
 from multipos.exports.c_correction import _Writer, declarations
 from multipos.exports.parts import Correction
 from multipos.exports.target_correction import (
@@ -388,19 +386,3 @@ def test_a_bound_in_single_precision_is_the_nearest_that_is_inside(value, toward
 def term(text):
     (found,) = parse_terms(text)
     return found
-
-
-def test_the_self_test_asks_for_no_code_where_rounding_decides(monkeypatch):
-    x = np.linspace(-1.0, 1.0, 30)
-    made_of = {"x": x, "y": 1.0 + 2.0 * x + 1e-3 * np.cos(9.0 * x)}
-    c = Correction(None, (mp.regress(made_of, response="y", variables="x"),))
-    expected = target_correction.expected_rows
-
-    def uncertain(*given, **options):
-        rows = expected(*given, **options)
-        return rows._replace(certain=np.arange(len(rows.out)) % 7 != 3)
-
-    monkeypatch.setattr(target_correction, "expected_rows", uncertain)
-    codes = re.search(r"codes\[COUNT\] = \{(.*)\};", target_correction._self_test(c, "c", False))
-    left_out = [i for i, code in enumerate(codes[1].split(", ")) if code == "-1"]
-    assert left_out == [*range(3, 60, 7)]

@@ -348,6 +348,18 @@ def test_a_run_as_a_whole_is_judged_by_its_rows_and_its_switch_on():
     assert mp.check(four, far).consistency.p < 0.01
 
 
+def test_runs_may_differ_by_a_slope_in_one_segment_alone():
+    runs = [switch_on(seed, 1e-4 * seed) for seed in range(4)]
+    for one, slope in zip(runs, (-3e-5, 1e-5, 4e-5, -2e-5), strict=True):
+        one["error"] += slope * np.maximum(one["t"], 0.0)
+    joined = {name: np.concatenate([one[name] for one in runs]) for name in runs[0]}
+    joined["run"] = np.repeat(np.arange(4), 120)
+    options = {"segment": "t:0", "free": True, "run": "run"}
+    found = mp.regress(joined, response="error", variables="t", **options)
+    assert [len(s.between.covariance) for s in found.segments] == [1, 2]
+    assert mp.check(found, runs[2]).consistency.p > 0.01
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [60, 100])
 def test_a_short_run_of_slow_noise_is_rarely_rejected(n):
