@@ -15,7 +15,6 @@ from multipos.logs import (
     common_noise,
     faults,
     log_columns,
-    matching,
     opening,
     rest_means,
     rests,
@@ -157,11 +156,6 @@ def test_lines_edges_and_cosines_of_batch_means():
     cosine = np.array([np.cos(np.pi * j * (k + 0.5) / 64) for j in range(1, 9)])
     by_hand = 2.0 * (cosine @ sums) ** 2 / (b**2 * 0.3)
     assert_allclose(_cosines(phases, count, np.array([[0.3]]))[0, 0], by_hand, rtol=1e-9)
-
-
-def test_rests_of_one_direction_are_given_to_its_positions_in_turn():
-    up = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, 0.6, 0.8]])
-    assert matching._spread_over([2, 0, 1, 3, 2, 1], SimpleNamespace(up=up)) == [0, 2, 1, 3, 0, 1]
 
 
 # --- faults
