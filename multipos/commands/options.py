@@ -75,19 +75,23 @@ def _rows() -> dict[str, list[dict[str, str]]]:
 def declare(parser: argparse.ArgumentParser, group: str, **words: str) -> None:
     """Add the options that `options.csv` has of a group.
 
-    An option ``@other`` stands for all of another group, ``= title`` begins a part of the help
-    under its own title, and braces hold one of the words. Under `more` stands ``exclusive`` where
-    neighbours are given one or the other, ``required``, or what argparse itself has.
+    An option ``@other`` stands for all of another group, ``= title`` goes on with a part of the
+    help under its own title, and braces hold one of the words. Under `more` stands ``exclusive``
+    where neighbours are given one or the other, ``required``, or what argparse itself has.
     """
-    part: argparse._ActionsContainer = parser
-    either: argparse._ActionsContainer | None = None
-    words = {"models": ", ".join(NAMED), **words}
+    _declare(parser, parser, group, {"models": ", ".join(NAMED), **words})
+
+
+def _declare(parser: Any, part: Any, group: str, words: Mapping[str, str]) -> None:
+    """Add the options of a group, to a part of the help where it has no title of its own."""
+    either: Any = None
     for row in _rows()[group]:
         option = row["option"]
         if option.startswith("@"):
-            declare(parser, option[1:], **words)
+            _declare(parser, part, option[1:], words)
         elif option.startswith("="):
-            part = parser.add_argument_group(option[2:])
+            titled = (each for each in parser._action_groups if each.title == option[2:])
+            part = next(titled, None) or parser.add_argument_group(option[2:])
         elif row["more"] == "exclusive":
             either = either or parser.add_mutually_exclusive_group()
             either.add_argument(option, **_keywords(row, words))

@@ -56,11 +56,10 @@ class Parser(argparse.ArgumentParser):
             super()._print_message(message, file)
 
     def error(self, message: str) -> NoReturn:
-        """Print the usage, and raise the message with what was meant."""
+        """Raise the message with what was meant, and a pointer to the help."""
         unknown = message.removeprefix("unrecognized arguments: ")
         if unknown != message and unknown.startswith("--"):
             given = unknown.split()[0].partition("=")[0]
-            message += near(given, self._option_string_actions).rstrip(".?")
-        if sys.stderr is not None:
-            self.print_usage(sys.stderr)
+            meant = "-o" if given in ("--out", "--output") else given
+            message += near(meant, self._option_string_actions).rstrip(".?")
         raise UsageError(f"{message}; see '{self.prog} --help'.")

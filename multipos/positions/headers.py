@@ -437,7 +437,15 @@ def find_others(chosen: Sequence[str], names: Sequence[str], by: str) -> list[Fi
 
 
 def unit_as_known(unit: str) -> str:
-    """Return a unit as it is called here: m/s2, mps2 and m/s**2 are m/s^2, µT is uT."""
+    """Return a unit as it is called here: m/s2, mps2 and m/s**2 are m/s^2, µT is uT.
+
+    Raises
+    ------
+    UsageError
+        It is of mass, amount or light, which no such sensor puts out.
+    """
+    if unit in ("kg", "mol", "mmol", "cd", "lm", "lx"):
+        raise UsageError(f"{unit} is of mass, amount or light; give the unit of the readings.")
     known = unit_of(unit)
     return known if known in (*PER_G, *MAGNETIC_UNITS) else unit
 
@@ -461,11 +469,8 @@ def unit_of_outputs(
         return kinds[0] if kinds else "reading"
     asked = unit_as_known(stated)
     if kinds and kinds[0] != asked and kinds[0] != unit_of(asked):
-        first = next(iter(written))
-        raise MultiposError(
-            f"{table.source}: the header gives column '{first}' in {kinds[0]}, and --unit states "
-            f"{stated}; correct one, or leave --unit away."
-        )
+        given = f"{table.source}: the header gives column '{next(iter(written))}' in {kinds[0]}"
+        raise MultiposError(f"{given}, and --unit states {stated}; correct one, or drop --unit.")
     return asked
 
 

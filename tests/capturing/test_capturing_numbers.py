@@ -1,8 +1,6 @@
 """Numbers of a session by hand or by a second route, at points without symmetry."""
 
-import io
 import math
-import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,18 +13,11 @@ from multipos.capturing import (
     arrivals,
     evaluation,
     keeping,
-    live_rests,
-    live_rows,
     poses,
-    screen,
-    serving,
     sources,
 )
-from multipos.capturing import next_pose as next_pose_module
-from multipos.capturing import session as session_module
-from multipos.capturing.next_pose import _ratios, _score, _State, best_pose, gain_of
+from multipos.capturing.next_pose import _ratios, _score, _State, gain_of
 from multipos.designs.information import Setting
-from multipos.logs.rests import Rest
 from multipos.sensor.model import build_model
 
 MODEL = build_model("linear", ("ax", "ay", "az"), ("x", "y", "z"))
@@ -67,26 +58,6 @@ def test_what_a_pose_would_make_of_targets_and_of_the_whole():
     worst = t.ppf(0.975, 7.0) * max(u[MODEL.names.index(n)] / w for n, w in targets.items())
     then = max(ratios_by_hand(now, up, targets, 8.0))
     assert gain_of(now, up, targets) == pytest.approx(worst - then)
-
-
-@pytest.mark.parametrize(("share", "fine"), [(0.97, True), (0.99, False)])
-def test_an_easy_direction_is_taken_where_it_is_nearly_the_best(share, fine, monkeypatch):
-    """Of what the best would gain 98 % are enough; none is near a pose that was taken."""
-    seen = []
-
-    def scored(now, up, led_by):
-        if up is None:
-            return np.zeros(1)
-        seen.append(up)
-        return np.linspace(0.1, share if len(up) < 26 else 1.0, len(up))
-
-    monkeypatch.setattr(next_pose_module, "_score", scored)
-    found = best_pose(MODEL, None, TAKEN, {})
-    assert_allclose(found.direction, seen[1][-1] if fine else seen[0][-1])
-    for up in seen:
-        assert (up @ TAKEN.T).max() < math.cos(math.radians(20.0))
-    every = mp.read_scheme("fibonacci-2000").up
-    assert best_pose(MODEL, None, every, {}) is None
 
 
 @pytest.mark.parametrize(
@@ -154,22 +125,6 @@ def a_calibration(n, U=0.02, gauge=None):
     )  # fmt: skip
 
 
-def test_degrees_of_freedom_and_targets_that_are_met(monkeypatch):
-    """3 n − 12, n − 12 of unknown orientation; a target is met twice on six at least."""
-    assert evaluation._dof(a_calibration(9)) == 15.0
-    assert evaluation._dof(a_calibration(17, gauge="lower")) == 5.0
-    monkeypatch.setattr(evaluation, "spread_targets", lambda targets, model: targets)
-    plan = of_plan(targets={"bias_ax": 0.0201, "scale_ay": 0.0199})
-    for n, before, met in (
-        (6, a_calibration(6), True), (5, a_calibration(6), False), (6, a_calibration(5), False),
-        (6, a_calibration(6, U=0.021), False), (6, None, False),
-    ):  # fmt: skip
-        last = None if before is None else SimpleNamespace(calibration=before)
-        said = {each.name: each for each in evaluation._progress(plan, a_calibration(n), last)}
-        assert (said["bias_ax"].met, said["scale_ay"].met) == (met, False)
-        assert (said["bias_ay"].met, said["bias_ay"].target) == (None, None)
-
-
 @pytest.mark.parametrize(
     ("ratio", "n", "said"), [(0.999, 9, False), (1.001, 9, True), (1.7, 6, True), (1.7, 5, False)]
 )
@@ -199,50 +154,6 @@ def test_targets_out_of_reach_by_the_noise_that_the_fit_finds(ratio, n, said, mo
         assert_allclose(seen[1], scheme.up[4:])
     assert evaluation._unreachable(of_plan(), a_calibration(9), taken) == ()
     assert evaluation._unreachable(of_plan(targets=targets), None, taken) == ()
-
-
-@pytest.mark.parametrize("order", ["scheme", "travel"])
-def test_the_next_position_of_a_scheme(order, monkeypatch):
-    scheme = mp.read_scheme("fibonacci-9")
-    given = []
-    monkeypatch.setattr(evaluation, "gain_at", lambda *those: given.append(those) or 0.7)
-    taken = [SimpleNamespace(position=scheme.names[i]) for i in (3, 0)]
-    plan, found = of_plan(scheme, order=order), SimpleNamespace(calibration="c")
-    pose = evaluation._next_of_scheme(plan, scheme, MODEL, found, taken)
-    left = [i for i in range(9) if i not in (0, 3)]
-    nearest = left[int(np.argmax(scheme.up[left] @ scheme.up[0]))]
-    i = left[0] if order == "scheme" else nearest
-    assert (pose.label, pose.gain) == (scheme.names[i], 0.7)
-    assert_allclose(given[0][2], scheme.up[[3, 0]])
-    assert_allclose(given[0][4], scheme.up[i])
-    first = evaluation._next_of_scheme(plan, scheme, MODEL, found, [])
-    assert first.label in scheme.names
-    assert given[1][2].shape == (0, 3)
-    every = [SimpleNamespace(position=name) for name in scheme.names]
-    assert evaluation._next_of_scheme(plan, scheme, MODEL, found, every) is None
-
-
-def test_a_stream_that_begins_has_seen_no_version():
-    session = SimpleNamespace(changed=threading.Condition(), version=1, ticks=0)
-    seen = []
-    server = SimpleNamespace(ending=True, session=session, event=lambda v: seen.append(v) or b"e")
-    handler = SimpleNamespace(server=server, wfile=io.BytesIO())
-    serving._Handler._send_events(handler)
-    assert seen == [-1]
-    assert handler.wfile.getvalue() == b"e"
-
-
-def test_rows_are_counted_for_their_rate_from_the_first_look_on(monkeypatch):
-    """Eleven lines waited; 31 more in 3.1 s are ten a second, and before 3 s nothing is said."""
-    clock = iter([100.0, 102.99, 103.1])
-    monkeypatch.setattr(arrivals.time, "monotonic", lambda: next(clock))
-    head = SimpleNamespace(_begun=None, _lines=["x"] * 11, _rate=None)
-    assert not arrivals._Head._is_counted(head)
-    head._lines = ["x"] * 42
-    assert not arrivals._Head._is_counted(head)
-    assert head._rate is None
-    assert arrivals._Head._is_counted(head)
-    assert head._rate == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize("untimed", [True, False])
@@ -280,82 +191,6 @@ def test_a_replay_sends_rows_when_they_would_have_come(speed, rate, rows, monkey
     assert clock[0] - 50.0 == pytest.approx(last / (rate * speed) if speed else 0.0)
     if speed:
         assert waits >= last / (rate * speed) / 0.05 - 1e-6
-
-
-def test_rows_of_the_log_that_a_rest_is_count_those_left_out():
-    """Five are bad, of which two are forgotten; of the others 40 and 41 come before the rest."""
-    rows = SimpleNamespace(bad=5, _left_out=[40, 41, 57], rate=8.0)
-    found = live_rows.LiveRows.in_log(rows, Rest(41, 58))
-    assert (found.start, found.end) == (41 + 4, 58 + 5)
-    assert live_rows.LiveRows.time(rows, Rest(41, 58)) == (5.125, 7.125)
-
-
-def test_a_terminal_shows_the_state_again_and_again(monkeypatch):
-    """Each picture is written in place of the one before, and none stays at the end."""
-    pictures, seen = iter([["a", "b"], ["c"], ["d"]]), threading.Event()
-
-    def picture_of(state):
-        assert state == "state of session"
-        lines = next(pictures, None)
-        if lines is None:
-            seen.set()
-        return lines or []
-
-    terminal = SimpleNamespace(isatty=lambda: True, write=(said := []).append, flush=lambda: None)
-    monkeypatch.setattr(screen.sys, "stderr", terminal)
-    monkeypatch.setattr(screen, "_OFTEN", 1e-4)
-    monkeypatch.setattr(screen, "state_of", lambda session: "state of session")
-    monkeypatch.setattr(screen, "picture_of", picture_of)
-    session = SimpleNamespace(changed=threading.Lock())
-    with screen.text_screen(session, commands=False):
-        assert seen.wait(10.0)
-    wanted = ["a\nb\n", "\x1b[2F\x1b[Jc\n", "\x1b[1F\x1b[Jd\n", "\x1b[1F\x1b[J"]
-    assert said[:4] == wanted
-    assert "".join(said[4:]) == ""
-
-
-@pytest.mark.parametrize(("rate", "count"), [(200.0, 10), (None, 5), (3.0, 1)])
-def test_a_live_value_is_the_mean_of_fifty_milliseconds(rate, count):
-    outputs = np.random.default_rng(1).normal(size=(3, 33))
-    session = SimpleNamespace(rows=SimpleNamespace(rate=rate))
-    session_module.Session._show_live(session, outputs)
-    assert_allclose(session.newest, outputs[:, -count:].mean(axis=1))
-
-
-def test_samples_left_until_a_stretch_is_a_rest():
-    """Still since row 60, of blocks of 5 and windows of 8 blocks: 24 windows end with block 31."""
-    rests = SimpleNamespace(
-        _finder=None, _provisional=SimpleNamespace(still_since=60), _seen=24, _newest=0.3,
-        grid=SimpleNamespace(shortest=110, block=5),
-    )  # fmt: skip
-    assert live_rests.LiveRests.motion(rests) == (0.3, True, 110 - (31 * 5 - 60))
-    rests.grid.shortest = 90
-    assert live_rests.LiveRests.motion(rests).samples_left == 0
-    rests._finder = SimpleNamespace(still_since=None)
-    assert live_rests.LiveRests.motion(rests) == (0.3, False, 90)
-
-
-def test_poses_are_offered_anew_where_rests_moved_or_the_threshold_is_fixed():
-    def session(kept, threshold=None, fixed=False, enough=9):
-        made = SimpleNamespace(
-            rests=SimpleNamespace(settled=[SimpleNamespace(rows=r) for r in ("p", "q", "r")]),
-            poses=[SimpleNamespace(still=SimpleNamespace(rows=r)) for r in kept],
-            threshold=threshold, _is_fixed=fixed, _known=None, judged=[], told=[],
-        )  # fmt: skip
-        made._judge = lambda still, number: (
-            made.judged.append((still.rows, number)) or (SimpleNamespace(still=still))
-        )
-        made._evaluate = lambda: setattr(made, "is_enough", len(made.poses) >= enough)
-        made._tell = lambda still: made.told.append(still.rows)
-        made.is_enough = False
-        session_module.Session._offer_settled(made)
-        return made
-
-    assert session("p").judged == [("q", "2"), ("r", "3")]
-    assert session("x").judged == [("p", "1"), ("q", "2"), ("r", "3")]
-    assert session("p", threshold=0.1).told == ["p", "q", "r"]
-    assert session("p", threshold=0.1, fixed=True).told == ["q", "r"]
-    assert session("p", enough=2).told == ["q"]
 
 
 def test_a_log_that_is_begun_anew_is_read_from_its_beginning(tmp_path, monkeypatch):

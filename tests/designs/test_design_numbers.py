@@ -1,8 +1,6 @@
 """Numbers of designs by hand or by a second route, at points without symmetry."""
 
 import math
-from dataclasses import replace
-from functools import partial
 from itertools import combinations_with_replacement
 from types import SimpleNamespace
 
@@ -11,34 +9,23 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.designs import designing, information
 from multipos.designs.aliases import find_aliases
 from multipos.designs.assessment import (
     Assessor,
     _dof,
     positions_table,
-    scheme_details,
-    scheme_rows,
     schemes_sentence,
 )
 from multipos.designs.criteria import Criterion, kernels, make_criterion
 from multipos.designs.designing import (
-    Design,
-    _check_count,
     _efficiency,
     _order,
-    _promising,
     _search,
-    _search_largest,
-    _summary,
-    design_sentence,
-    smaller_designs,
 )
-from multipos.designs.exchange import _tidy, polish
-from multipos.designs.information import Setting, tangents
-from multipos.designs.optimum import _apart, _length, _spread, gap_of_least
+from multipos.designs.exchange import polish
+from multipos.designs.information import Setting
+from multipos.designs.optimum import gap_of_least
 from multipos.designs.prospects import begin, information_of, measured, rank_positions
-from multipos.errors import MultiposError
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
 
@@ -116,51 +103,12 @@ def test_aliases_by_least_squares(size, turned):
     assert alias["into"] == pytest.approx({n: v for n, v in into.items() if abs(v) > 1e-9})
 
 
-def test_priors_are_represented_by_points_of_their_mean_and_covariance(monkeypatch):
-    """Two priors, one of them of two outputs' copies: 2·2 points at ± √2 sd."""
-    names, sd = ("k", "b", "k", "c"), (0.3, None, 0.3, 0.05)
-    quantities = [SimpleNamespace(name=n, sd=s) for n, s in zip(names, sd, strict=True)]
-    nominal = np.array([1.0, 2.0, 3.0, 4.0])
-    monkeypatch.setattr(information, "nominal_parameters", lambda model: nominal)
-    model = SimpleNamespace(quantities=quantities, within=lambda parameters: parameters)
-    draws = np.array(information._at_own_parameters(model)["draws"])
-    assert len(draws) == 4
-    assert_allclose(draws.mean(axis=0), nominal)
-    off = draws - nominal
-    wanted = np.zeros((4, 4))
-    wanted[np.ix_([0, 2], [0, 2])] = 0.09
-    wanted[3, 3] = 0.0025
-    assert_allclose(off.T @ off / 4, wanted, atol=1e-15)
-
-
-def test_candidates_that_determine_every_parameter_are_picked_of_rows_of_two():
-    rows = np.zeros((30, 2, 2))
-    rows[17, 1, 0] = rows[23, 0, 1] = 1.0  # nothing else tells anything
-    assert _spread((rows,)).tolist() == [17, 23]
-
-
 def test_what_a_least_eigenvalue_may_fall_short_by_by_hand():
     """Of ½ and 1 % more x = 1.01^−100 = .36971 counts, tr G = (2 + 2x/1.01)/(1 + x) = 1.994655."""
     # eq. (3) of designs.optimum
     M = (np.diag([0.5, 0.505]),)
     found = gap_of_least(M, kernels(M, make_criterion("E", Setting(LINEAR))), 0.2)
     assert found == pytest.approx(1.2 / (0.5 * 1.994655) - 1.0, abs=1e-5)
-
-
-def test_a_step_ends_before_an_entry_vanishes():
-    x = np.array([0.4, 0.3, 0.2])
-    assert _length(x, np.array([0.5, -0.6, -0.1])) == pytest.approx(0.95 * 0.5)
-    assert _length(x, np.array([0.5, -0.2, -0.1])) == 1.0
-    assert _length(x, np.array([0.5, 0.2, 0.0])) == 1.0
-
-
-def test_tangents_and_tidy_directions():
-    up = away_from_zero((5, 3))
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    frame = np.concatenate([tangents(up), up[:, :, None]], axis=2)
-    assert_allclose(frame.transpose(0, 2, 1) @ frame, np.tile(np.eye(3), (5, 1, 1)), atol=1e-14)
-    kept, gone = _tidy(np.array([[2e-6, 0.6, -0.8], [5e-7, 0.6, -0.8]]))
-    assert_allclose((kept[0], gone[0]), (2e-6, 0.0), rtol=1e-9)
 
 
 def test_efficiency_time_and_degrees_of_freedom_by_hand():
@@ -174,23 +122,6 @@ def test_efficiency_time_and_degrees_of_freedom_by_hand():
     model = SimpleNamespace(outputs=("ax", "ay"), terms=("12", "123"), keys="12345")
     assert _dof(SimpleNamespace(model=model, orientation_sd=0.3), 11) == {"ax": 9, "ay": 8}
     assert _dof(SimpleNamespace(model=model, orientation_sd=math.inf), 11) == {"all": 6}
-
-
-def test_how_many_positions_are_enough_and_how_many_are_searched_for():
-    known = Setting(LINEAR)
-    for positions, included in ((4, 0), (4, 3), (200, 0), (206, 6)):
-        _check_count(known, positions, included)
-    for positions, included in ((3, 0), (5, 5), (201, 0), (207, 6)):
-        with pytest.raises(mp.UsageError):
-            _check_count(known, positions, included)
-
-
-def test_positions_are_labelled_by_their_bench_or_their_place():
-    settings = ({}, {"position": "A"}, {"tilt_deg": 4.0}, {"position": "A"}, {"position": "A"})
-    found = SimpleNamespace(positions=np.zeros((5, 3)), settings=settings)
-    assert Design.labels.fget(found) == ("1", "A", "3", "A (2)", "A (3)")
-    found.settings = ()
-    assert Design.labels.fget(found) == ("1", "2", "3", "4", "5")
 
 
 @pytest.mark.parametrize(
@@ -252,77 +183,11 @@ def test_the_drift_of_a_session_is_as_well_known_as_it_is():
     assert_allclose(present - without, np.diag(known), rtol=1e-9, atol=1e-3)
 
 
-def test_slow_noise_of_a_bias_falls_with_more_readings_and_what_gravity_adds_does_not(monkeypatch):
-    """Biases 2 times as uncertain as by the noise alone, scales 1.5 times, crosses as by it."""
-    up = read_scheme("all-26").up
-    readings = mp.Readings(up + 1e-3 * away_from_zero((26, 3)), up=up, unit="g")
-    cal = mp.fit(readings, reading_sd=1e-3, orientation_sd=0)
-    size = np.tile([2.0, 1.0, 1.0, 1.0], 3)
-    size[[1, 6, 11]] = 1.5
-    known = replace(cal, covariance=cal.covariance * np.outer(size, size))
-    for order, bias in ((np.arange(26), 4.0), (None, 1.0)):
-        monkeypatch.setattr(
-            "multipos.designs.prospects.order_in_time", lambda _, order=order: order
-        )
-        found = measured(known)[2] / measured(cal)[2]
-        assert_allclose(found, np.tile([bias, 1.0, 1.0, 1.0], 3), rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("size", "u"), [(0.0, 1e-3), (1e-160, 1e-3), (np.nan, 1e-3), (1e-3, np.nan)]
-)
-def test_without_noise_or_u_nothing_is_predicted(size, u):
-    cal = SimpleNamespace(
-        model=SimpleNamespace(environment=(), outputs=("ax",)),
-        readings=None,
-        estimator=None,
-        residual_sd=np.array([size]),
-        noise=None,
-        u=np.array([u]),
-    )
-    with pytest.raises(MultiposError, match="no reading noise to predict from"):
-        measured(cal)
-
-
-def test_included_positions_stay_and_a_curve_has_eight_points():
-    def make(count, included=0):
-        return SimpleNamespace(positions=range(count), included=included)
-
-    found = smaller_designs(partial(make, included=6), make(24, 6))
-    assert [len(each.positions) for each in found] == [9, 12, 15, 18, 21, 24]
-    assert len(smaller_designs(make, make(40))) == 8
-
-
 def test_the_order_of_travel_starts_at_the_last_position_that_is_given():
     """From z down the short way: edge, x, edge, z up."""
     up = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.7, 0.0, -0.7], [0.7, 0.0, 0.7]])
     given = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
     assert _order(Setting(LINEAR), up, given, "travel").tolist() == [2, 1, 3, 0]
-
-
-def test_the_least_of_the_largest_variances_is_chosen():
-    """Faces have 4 of 4; with two more at x, 5 of 4; a roll leaves parameters open."""
-    faces = read_scheme("faces-6").up
-    choices = [read_scheme("roll-x-8").up, read_scheme("faces-6+roll-z-2").up, faces]
-    value, up = _search_largest(Setting(LINEAR), choices, faces, np.empty((0, 3)))
-    assert value == pytest.approx(0.0, abs=1e-9)
-    assert_allclose(up, faces)
-    value, _ = _search_largest(Setting(LINEAR), choices[:2], faces, np.empty((0, 3)))
-    assert value == pytest.approx(-math.log(5.0 / 4.0), abs=1e-6)
-    assert _search_largest(Setting(LINEAR), choices[:1], faces, np.empty((0, 3)))[0] == -math.inf
-
-
-def test_candidates_that_promise_most_have_the_largest_variance(monkeypatch):
-    monkeypatch.setattr(designing, "_MANY", 5)
-    bench = read_scheme("fibonacci-40").up
-    best = SimpleNamespace(
-        chosen=np.array([3, 11, 17, 26, 39]), weights=np.array([1, 2, 3, 2, 2]) / 10
-    )
-    X = np.column_stack([np.ones(40), bench])
-    M = np.einsum("k,ki,kj->ij", best.weights, X[best.chosen], X[best.chosen])
-    variance = np.einsum("ni,ij,nj->n", X, np.linalg.inv(M), X)
-    found = _promising(Setting(LINEAR), Criterion("D"), bench, best)
-    assert_allclose(found, bench[np.sort(np.argsort(-variance)[:5])])
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.5])
@@ -351,77 +216,6 @@ def test_positions_of_a_bench_are_the_best_of_all_choices(name, turned):
     assert best == pytest.approx(np.nanmax(value), rel=1e-9)
     places = sorted(int(np.argmax(bench @ each)) for each in found)
     assert value[choices.index(places)] == pytest.approx(best, rel=1e-9)
-
-
-def test_maxima_that_are_one_are_told_once_the_highest_first():
-    angle = np.radians([20.0, 70.0, 20.002, 69.99])  # cosines of 1 − 6e-10 and 1 − 1.5e-8
-    up = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(4)])
-    found, height = _apart(up, np.array([3.0, 1.0, 3.5, 4.0]))
-    assert height.tolist() == [4.0, 3.5, 1.0]
-    assert_allclose(found, up[[3, 2, 1]])
-
-
-def test_numbers_of_schemes_and_designs_as_text():
-    """Shares of three digits, drift in percent, the largest u and the least dof; what is hidden."""
-    aliases = [
-        {"output": "ax", "term": "x^2", "seen": 0.125, "into": {"bias": 2.1e-3, "cross": 0.9e-3}},
-        {"output": "ay", "term": "y^2", "seen": 0.9e-9, "into": {"bias": -0.5}},
-        {"output": "ay", "term": "x*y", "seen": 1.0, "into": {}},
-    ]
-    entry = SimpleNamespace(
-        name="mine", positions=7, identifiable=True, d_efficiency=0.91, a_efficiency=0.82,
-        e_efficiency=0.55, g_efficiency=0.73, i_efficiency=0.64, log_det=-9.876543, condition=2.345,
-        drift_absorbed=0.256, u={"ax:1": 2e-4, "ay:y": 7e-4, "ay:1": 3e-4},
-        dof={"ax": 5, "ay": 3}, aliases=aliases, unidentifiable=("a", "b"),
-    )  # fmt: skip
-    none = SimpleNamespace(**vars(entry) | dict.fromkeys(
-        ("d_efficiency", "a_efficiency", "e_efficiency", "g_efficiency", "i_efficiency", "log_det",
-         "u", "condition", "name"), None) | {"identifiable": False})  # fmt: skip
-    header, rows = scheme_rows([entry, none])
-    one, other = (dict(zip(header, row, strict=True)) for row in rows)
-    assert [one[key] for key in "DAEGI"] == ["0.910", "0.820", "0.550", "0.730", "0.640"]
-    assert (one["drift"], one["largest u"], one["dof left"]) == ("26 %", "0.0007", "3")
-    assert (one["log det"], one["condition (scaled columns)"]) == ("-9.87654", "2.35")
-    assert (one["identifiable"], other["identifiable"], other["D"]) == ("yes", "no", "-")
-    u, lacking = scheme_details(entry)
-    assert [line.split() for line in u.splitlines()][2] == ["ay", "y", "0.0007"]
-    assert [line.split() for line in lacking.splitlines()][2:] == [
-        ["ax", "x^2", "0.12", "+0.0021", "bias"],
-        ["ay", "y^2", "hidden", "-0.5", "bias"],
-        ["ay", "x*y", "1.00", "-"],
-    ]
-    assert scheme_details(none) == ["cannot be separated:", "a", "b"]
-    entry.aliases = ()
-    assert len(scheme_details(entry)) == 1
-    found = SimpleNamespace(
-        certificate={"over": "candidates", "max_variance": 12.5, "parameters": 12, "gap": 3e-8},
-        time_s=123.4, efficiency=0.987, log_det=-9.9, optimum_log_det=-9.5, travel_deg=432.1,
-        scheme=entry, bench_efficiency=0.99, criterion="A", positions=range(8),
-    )  # fmt: skip
-    lines = [line.split() for line in _summary(found).splitlines()]
-    assert [line[:2] for line in lines] == [
-        ["efficiency", "0.987000"], ["0.990000", "against"], ["log", "det"],
-        ["certificate", "3.0e-08"], ["travel", "432°"], ["drift", "26"],
-    ]  # fmt: skip
-    assert lines[2][2:] == ["-9.900000", "at", "most", "-9.500000"]
-    assert lines[4][2:] == ["123", "s"]
-    assert "12.5 of the best on these candidates for 12 parameters" in _summary(found)
-    found.u = ()
-    said = "8 positions reach 98.7 % of the best A efficiency per position on the sphere"
-    assert design_sentence(found) == f"{said}."
-    falls = [(4.0, 2.0), (3.0, 1.5)]
-    found.u = [{"before": before, "after": after} for before, after in falls]
-    found.included = 5
-    assert design_sentence(found) == f"{said}; 3 more lower u by 50 %."
-    found.certificate["over"], found.time_s = "sphere", None
-    assert len(_summary(found).splitlines()) == 5
-    assert "on the whole sphere for 12" in _summary(found)
-
-
-def test_positions_that_separate_nothing_are_no_design(monkeypatch):
-    monkeypatch.setattr(designing, "_search", lambda *_: (-math.inf, np.empty((0, 3))))
-    with pytest.raises(mp.MultiposError, match="no 6 positions were found that separate"):
-        mp.design("linear", 6)
 
 
 def test_positions_that_show_too_little_are_no_design():

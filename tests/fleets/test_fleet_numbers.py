@@ -6,111 +6,26 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, f, t
+from scipy.stats import chi2, f
 
 import multipos as mp
-from multipos.diagnostics.examination import are_open
 from multipos.diagnostics.model_error import columns_of
 from multipos.estimation.known import share_design
-from multipos.files.tables import Table
 from multipos.fleets import (
     fleet_text,
-    line,
-    outlying_units,
-    station_fixtures,
-    stations,
     unit_findings,
 )
-from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.grouping import Conditions, group_rows
 from multipos.fleets.labels import Labels
-from multipos.fleets.solving import _chi2_findings, _findings, _with_gravity, find_pattern
-from multipos.fleets.sources import Rows, _labelled
+from multipos.fleets.solving import _with_gravity, find_pattern
 from multipos.fleets.suspects import _ends_repeat, find_suspects
 from multipos.fleets.unit_findings import (
     _explained_by_temperature,
     _missing_terms,
     unit_tests,
 )
-from multipos.numerics.rotations import directions, rotation_matrix
+from multipos.numerics.rotations import directions
 from multipos.sensor.model import build_model
-
-
-@pytest.mark.parametrize("kind", ["trend", "step"])
-def test_a_station_that_changed_is_said_with_its_size_and_u(kind, monkeypatch):
-    """A line from −½ to ½ over the units, or two means; one unit far off is left out of both."""
-    rng = np.random.default_rng(4)
-    n, after = 20, 8
-    x = np.arange(n) / 19 - 0.5
-    values = (0.7 * x if kind == "trend" else np.where(np.arange(n) < after, 0.0, 0.5)) + 0.3
-    values = values + 0.02 * rng.normal(size=n)
-    kept = np.arange(n) != 5
-    monkeypatch.setattr(line, "near_median", lambda values, finite, same: kept)
-    parameters = np.full((n, 2), 9.0)
-    parameters[:, 1] = values
-    units = SimpleNamespace(
-        parameters=parameters, names=("a", "b"), unit=[f"u{i}" for i in range(n)],
-        time=100.0 + np.arange(n),
-    )  # fmt: skip
-    said = line._said(units, True, "s", 1, np.arange(n), after, 0.003)
-    y = values[kept]
-    if kind == "trend":
-        z = x[kept]
-        slope = (z @ y) / (z @ z)
-        left = (y - y.mean()) - slope * (z - z.mean())
-        size, u = slope, math.sqrt(left @ left / (len(y) - 2) / (z @ z))
-    else:
-        low, high = values[:after][kept[:after]], values[after:]
-        left = np.concatenate([low - low.mean(), high - high.mean()])
-        size = high.mean() - low.mean()
-        u = math.sqrt(left @ left / (len(y) - 2) * (1 / len(low) + 1 / len(high)))
-    assert (said["kind"], said["from_unit"], said["time"]) == (kind, "u8", 108.0)
-    assert (said["value"], said["u"]) == (pytest.approx(size), pytest.approx(u))
-    assert (said["name"], said["p"], said["order"]) == ("b", 0.003, "time")
-    assert line._said(units, False, "s", 1, np.arange(n), after, 0.003)["time"] is None
-
-
-def test_levels_of_stations_are_turns_from_the_typical_unit(monkeypatch):
-    """Half of what K⁻¹K' is off from its transpose, in degrees, about x, y and z."""
-    given = []
-    monkeypatch.setattr(
-        stations, "_against_mean", lambda turned, *rest: given.append(turned) or [None, None]
-    )
-    typical = np.array([[2.0, 0.1, -0.2], [0.05, 1.5, 0.15], [-0.1, 0.2, 1.1]])
-    turns = np.array([[0.0, 0.0, 0.0], [0.01, -0.02, 0.03], [-0.01, 0.02, -0.03]])
-    matrix = np.array([typical @ rotation_matrix(turn).T for turn in turns])
-    monkeypatch.setattr(stations, "linear_parts", lambda model, parameters: matrix)
-    units = SimpleNamespace(model=1, parameters=None)
-    stations._levels(units, np.ones(3, dtype=bool), None, None, 2)
-    for place in range(3):
-        np.testing.assert_allclose(
-            np.abs(given[place]), np.degrees(np.abs(turns[:, place])), atol=0.03
-        )
-        assert given[place][1] * given[place][2] < 0.0
-    signs = [math.copysign(1.0, given[place][1] * turns[1, place]) for place in range(3)]
-    assert len(set(signs)) == 1  # all by one rule of the hand
-
-
-def test_a_fixture_is_corrected_by_its_mean_angles():
-    """Two rows repeat a position and share its angle; u of all angles as one of each position."""
-    up = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
-    part = SimpleNamespace(up=up, labels=("p", "q", "p"), identifiable=np.ones(3, dtype=bool))
-    mean = np.array([[0.0, 0.02, 0.0], [0.01, 0.0, 0.03], [0.0, 0.04, 0.02]])
-    u = np.array([[0.001, 0.002, 0.0], [0.003, 0.0, 0.001], [0.002, 0.002, 0.0]])
-    found = station_fixtures._correction([part, part], mean, u, 12)
-    angles = [(mean[0] + mean[2]) / 2.0, mean[1]]
-    wanted = [rotation_matrix(a) @ f for a, f in zip(angles, up, strict=False)]
-    assert found["scheme"]["position"] == ["p", "q"]
-    corrected = np.column_stack([found["scheme"][f"up_{axis}"] for axis in "xyz"])
-    np.testing.assert_allclose(corrected, wanted)
-    orientation = found["budget"]["orientation"]
-    assert orientation["u_deg"] == pytest.approx(math.degrees(math.sqrt(np.sum(u**2) / 6)))
-    assert orientation["dof"] == 11.0
-    assert station_fixtures._correction([part], mean, u, station_fixtures.FEWEST - 1) is None
-    assert station_fixtures._correction([part], mean, u, station_fixtures.FEWEST) is not None
-    other = SimpleNamespace(**{**vars(part), "up": -up})
-    assert station_fixtures._correction([part, other], mean, u, 12) is None
-
 
 LINEAR = build_model("linear", ("a", "b", "c"), ("x", "y", "z"), unit="g")
 
@@ -154,54 +69,6 @@ def test_which_units_are_looked_at_in_full_by_their_limits():
     values[2][2, 3] = values[0][2].min() - 4.0
     values[0][2, 1] = values[2][2].min()
     assert _ends_repeat(values)[2]
-
-
-@pytest.mark.parametrize(("times", "named"), [(0.98, True), (1.02, False)])
-def test_a_unit_that_is_far_in_a_number_of_few(times, named):
-    """t² with m and s of the others; of 9 units two at most are taken away, by p (n − k + 1)."""
-    theta = 0.01 * np.random.default_rng(4).normal(size=(9, 2)) + [0.7, 0.4]
-    others = np.delete(theta[:, 1], [3, 6])
-    added = np.array([3e-5, 1e-5])
-    variance = others.var(ddof=1) * (1 + 1 / 7) + added
-    t2 = np.array([900.0, f.isf(times * 0.01 / (2 * (9 - 2 + 1)), 1, 6)])
-    theta[[3, 6], 1] = others.mean() + np.sqrt(t2 * variance) * [1.0, -1.0]
-    excess = np.zeros((9, 2))
-    excess[[3, 6], 1] = added
-    found, distance, p_values, sd = outlying_units._each_alone(theta, lambda rows: excess[rows])
-    kept = others if named else np.delete(theta[:, 1], 3)
-    if not named:
-        variance = kept.var(ddof=1) * (1 + 1 / 8) + added
-        t2 = (theta[[3, 6], 1] - kept.mean()) ** 2 / variance * [1.0, 0.0]
-    np.testing.assert_allclose(distance[[3, 6]], t2, rtol=1e-9)
-    chance = 9 * 2 * f.sf(t2[0], 1, len(kept) - 1)
-    assert p_values[3] == pytest.approx(chance, rel=1e-6)
-    assert found.tolist() == ([3] if chance < 0.01 else [])
-    assert distance[[0, 1, 2, 4, 5, 7, 8]].tolist() == [0.0] * 7
-    np.testing.assert_allclose(sd, [theta[:, 0].std(ddof=1), kept.std(ddof=1)])
-
-
-def test_what_a_unit_was_measured_worse_than_others():
-    u = np.array([[0.3, 9.0], [0.4, 2.0], [0.9, 4.0], [0.2, 7.0], [0.5, 5.0]])
-    mine, rows = np.array([0, 1, 2, 4]), np.array([2, 3])
-    scale = np.array([2.0, 0.5, 3.0])
-    found = outlying_units._excess(SimpleNamespace(u=u), mine, rows, scale)
-    own = u[mine] ** 2 / scale[:2] ** 2
-    wanted = np.maximum(own[rows] - np.median(own, axis=0), 0.0)
-    np.testing.assert_allclose(found, np.column_stack([wanted, [0.0, 0.0]]))
-    covariance = np.array([[1.3, 0.4], [0.4, 0.8]])
-    theta = np.array([[0.1, -0.2]] * 30)
-    theta[4], theta[7] = [6.0, -3.0], [4.0, 3.5]
-    line_of = pytest.MonkeyPatch()
-    with line_of.context() as patch:
-        patch.setattr(outlying_units, "_concentrated", lambda theta: covariance.copy())
-        worse = np.where(np.arange(30)[:, None] == 7, [[9.0, 4.0]], 0.0)
-        found, distance, p_values, sd = outlying_units._together(theta, lambda rows: worse[rows])
-    for unit, added in ((4, 0.0), (7, np.diag([9.0, 4.0])), (0, 0.0)):
-        t2 = theta[unit] @ np.linalg.inv(covariance + added) @ theta[unit]
-        assert distance[unit] == pytest.approx(t2)
-        assert p_values[unit] == pytest.approx(f.sf(t2 * 28 / (2 * 29), 2, 28), rel=1e-6)
-    assert found.tolist() == [4]
-    np.testing.assert_allclose(sd, np.sqrt([1.3, 0.8]))
 
 
 def fitted(up, values):
@@ -336,43 +203,6 @@ def labels_from(column):
     return Labels(np.array([names.index(each) for each in column], dtype=np.int32), names)
 
 
-def test_angles_of_a_fixture_over_its_units():
-    """The mean of 3 + 4 units, and its u by what they vary; none about the vertical, which is x."""
-    rng = np.random.default_rng(5)
-    angles = 1e-3 * (rng.normal(size=(7, 2, 3)) + rng.normal(size=(2, 3)))
-    parts = [
-        FixtureSums(0, ("p", "q"), np.eye(3)[:2], np.array([True, False]), len(some),
-                    some.sum(axis=0), (some**2).sum(axis=0))
-        for some in (angles[:3], angles[3:])
-    ]  # fmt: skip
-    other = FixtureSums(0, ("r",), np.eye(3)[:1], np.array([True]), 6, np.ones((1, 3)), np.ones(1))
-    found = station_fixtures.describe_fixtures([other, *parts, other._replace(station=2, units=1)])
-    first, second = found[0]["positions_deg"]
-    assert (first["position"], second["position"], second["x"]) == ("p", "q", None)
-    mean = np.degrees(angles.mean(axis=0)[0])
-    u = np.degrees(angles.std(axis=0)[0] / math.sqrt(6))
-    assert first["x"] is None
-    for i, axis in ((1, "y"), (2, "z")):
-        assert first[axis] == {"value": pytest.approx(mean[i]), "u": pytest.approx(u[i])}
-    assert found[2]["positions_deg"][0]["y"] is None  # of one unit
-
-
-def test_stations_that_are_off_are_taken_out_one_by_one():
-    def described(values, us):
-        return [
-            {"level_deg": {"x": {"value": v, "u": u}}, "shift": None}
-            for v, u in zip(values, us, strict=True)
-        ]
-
-    # of −.9 first; without it the others are off by −.2, .2 and 0, then by .1 and −.1
-    values, us, off = [-0.9, 0.1, 0.5, 0.3], [0.1, 0.06, 0.07, 0.2], {("level_deg", "x")}
-    assert stations._beyond(described(values, us), 3.3) == [off, off, set(), set()]
-    assert stations._beyond(described(values, us), 3.4) == [off, set(), set(), set()]
-    assert stations._beyond(described(values, us), 1.4) == [off, off, off, set()]
-    for second, said in ((-0.29, set()), (-0.305, off)):
-        assert stations._beyond(described([0.31, second], [0.1, 0.1]), 3.0) == [off, said]
-
-
 @pytest.mark.parametrize(
     ("fitted_with", "asked_for", "shared"),
     [
@@ -433,46 +263,6 @@ class Read:
     values: np.ndarray
 
 
-def test_what_a_unit_is_said_to_be_found_of():
-    """χ² beyond its 99.9 % is a denied noise, below .1 % an overstated one; in one order."""
-    task = SimpleNamespace(
-        units=np.arange(4), values=(np.zeros((4, 7)),) * 3, options={"confidence": 0.9}
-    )
-    model = build_model("linear", ("a", "b", "c"), ("x", "y", "z"), unit="g")
-    shared = SimpleNamespace(model=model)
-    pattern = SimpleNamespace(shared=shared, findings="turned")
-    high, low = chi2.ppf(0.999, 9.0), chi2.ppf(0.001, 9.0)
-    parameters = np.tile(np.eye(3, 4, 1).ravel() + 1e-3, (4, 1))
-    of = SimpleNamespace(
-        parameters=parameters, chi2=np.array([high * 1.001, high * 0.999, low * 0.999, high * 2.0])
-    )
-    dof, u = np.full((4, 12), 9.0), np.full((4, 12), 1e-6)
-    named = {"outlier": np.arange(4) == 3, "lack-of-fit": np.arange(4) == 1}
-    named |= _chi2_findings(shared, task, of)
-    assert _findings(task, pattern, of, u, dof, named) == [
-        "turned;denied-noise", "turned;lack-of-fit", "turned;overstated-noise", "turned;outlier",
-    ]  # fmt: skip
-    of.chi2 = None
-    u[2, 6] = 0.7 / t.ppf(0.95, 9.0)
-    said = _findings(task, pattern, of, u, dof, {})
-    k = t.ppf(0.95, 9.0)
-    wanted = are_open(model, parameters, k * u)
-    assert [("no-redundancy" in each) for each in said] == wanted.tolist()
-    assert wanted[2]
-    assert not wanted[0]
-
-
-def test_texts_in_columns_of_labels_become_labels():
-    """Numbers stay numbers, and a column that a table lacks is none."""
-    weight = np.array([3.0, 4.0, 5.0])
-    table = Table("lot.csv", {"unit": ["u", "v", "u"], "weight": weight, "ax": ["1", "2", "3"]}, 3)
-    found = _labelled(table, {"unit", "weight", "station"}, alone=False)
-    assert (list(found.columns["unit"]), found.columns["ax"]) == (["u", "v", "u"], ["1", "2", "3"])
-    assert found.columns["unit"].names == ("u", "v")
-    assert found.columns["weight"] is weight
-    assert list(found.columns) == ["unit", "weight", "ax"]
-
-
 @pytest.mark.parametrize(("sd", "mean"), [(2.34e-5, "1.2346"), (None, "1.23")])
 def test_a_mean_of_a_fleet_is_said_to_a_third_digit_of_its_sd(sd, mean):
     """In mg: an sd of .0234 has two digits in three decimals, and one decimal more is shown."""
@@ -480,10 +270,3 @@ def test_a_mean_of_a_fleet_is_said_to_a_third_digit_of_its_sd(sd, mean):
     unit, shown, plain, *limits = fleet_text._spread(each)
     assert (unit, shown, limits) == ("mg", mean, ["-", "-2", "-"])
     assert plain == ("-" if sd is None else "0.0234")
-
-
-def test_a_column_with_its_unit_is_found_by_its_name():
-    rows = SimpleNamespace(columns={"unit": 0, "ax (g)": 1, "T [K]": 2, "az": 3})
-    assert [Rows.written(rows, name) for name in ("ax", "T", "az", "ay")] == [
-        "ax (g)", "T [K]", "az", "ay",
-    ]  # fmt: skip

@@ -6,24 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.stats import f as fisher
-from scipy.stats import t
 
 import multipos as mp
-from multipos.sensor.model import build_model
 from multipos.uncertainty import (
     common_causes,
-    dividing_head,
-    propagation,
     sensitivities,
-    sphere,
-    turntable,
-    validity,
 )
-from multipos.uncertainty.budgets import _quantity, _size, resolve
+from multipos.uncertainty.budgets import _quantity, resolve
 from multipos.uncertainty.monte_carlo import _shortest, _symmetric
-from multipos.uncertainty.propagation import _blocks, row_dof
-from multipos.uncertainty.turntable import _largest_loss, _solve_beside
+from multipos.uncertainty.propagation import row_dof
 from multipos.uncertainty.validity import ForcesSeen
 
 # --- what residuals show
@@ -58,32 +49,6 @@ def test_a_common_cause_takes_its_part_of_a_pooled_scatter():
 # --- a table beside the sensor
 
 
-def test_errors_of_a_table_are_fitted_beside_the_sensor():
-    """Weighted least squares of both, the F of what the errors add, and Student's t."""
-    rng = np.random.default_rng(4)
-    sensor, errors, w = rng.normal(size=(14, 3)), rng.normal(size=(14, 2)), rng.uniform(0.5, 2, 14)
-    y = sensor @ [1.0, 2.0, 3.0] + errors @ [0.4, -0.6] + 0.5 * rng.normal(size=14)
-    bench = SimpleNamespace(
-        keys="abc", values=y.reshape(7, 2), weight=w, sensor=sensor,
-        first=SimpleNamespace(confidence=0.9),
-    )  # fmt: skip
-    X = np.column_stack([sensor, errors])
-    found, sizes = _solve_beside(bench, X, np.array([True, False, True]))
-    weighted, right = X * w[:, None], y * w
-    b = np.linalg.lstsq(weighted, right, rcond=None)[0]
-    square = np.sum((right - weighted @ b) ** 2)
-    C = np.linalg.inv(weighted.T @ weighted) * square / 9
-    alone = weighted[:, :3] @ np.linalg.lstsq(weighted[:, :3], right, rcond=None)[0]
-    F = (np.sum((right - alone) ** 2) - square) / 2 / (square / 9)
-    assert_allclose(found.parameters, b[:3])
-    assert_allclose(found.covariance, C[:3, :3], rtol=1e-9)
-    assert (found.dof, found.identifiable) == (9.0, (True, False, True))
-    assert found.p == pytest.approx(fisher.sf(F, 2, 9), rel=1e-9)
-    for j, (value, u, U) in enumerate(sizes, 3):
-        assert (value, u) == (pytest.approx(b[j]), pytest.approx(math.sqrt(C[j, j])))
-        assert pytest.approx(t.ppf(0.95, 9) * u, rel=1e-6) == U
-
-
 # --- Monte Carlo
 
 
@@ -111,34 +76,6 @@ def test_degrees_of_freedom_of_a_row_are_the_fewest_of_what_is_used():
     assert row_dof(row, gradient).tolist() == [9.0, 5.0, math.inf]
     row.dof = 7.0
     assert row_dof(row, gradient).tolist() == [7.0, 7.0, math.inf]
-
-
-def test_parameters_of_outputs_that_covary_are_in_one_row():
-    c = SimpleNamespace(model=SimpleNamespace(output_of=np.array([0, 0, 1])), outputs=("a", "b"))
-    for share, rows in ((0.9e-9, 2), (1.1e-9, 1)):
-        C = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 6.0 * share], [0.0, 6.0 * share, 4.0]])
-        found = _blocks(c, C)
-        assert len(found) == rows
-        assert found[0].tolist() == [True, True, rows == 1]
-
-
-@pytest.mark.parametrize(
-    ("spread", "u", "law"),
-    [
-        ({"u": 0.3}, 0.3, "normal"),
-        ({"U": 0.3, "k": 2.5}, 0.12, "normal"),
-        ({"half_width": 0.3, "distribution": "rectangular"}, 0.3 / math.sqrt(3), "rectangular"),
-        ({"half_width": 0.3, "distribution": "triangular"}, 0.3 / math.sqrt(6), "triangular"),
-    ],
-)
-def test_a_size_of_a_budget(spread, u, law):
-    assert _size("b", spread, "") == (pytest.approx(u), law)
-
-
-@pytest.mark.parametrize("table", [{"u": 1.0, "U": 2.0}, {"u": 0.3, "k": 2.0}, {}])
-def test_a_size_that_is_none_or_two(table):
-    with pytest.raises(mp.MultiposError, match="b: "):
-        _size("b", table, "")
 
 
 def test_numbers_of_a_budget_have_their_least():
@@ -178,58 +115,6 @@ def test_forces_that_were_seen_with_their_margins():
     assert plain.holds(np.array([[2.06, 0.0], [0.0, 2.08]]), [0, 2]).tolist() == [True, False]
     assert seen.in_words([0, 2]) == "x -1 to 3.8, z -2 to 2 g"
     assert plain.in_words([0]) == "up to 2 g"
-
-
-@pytest.mark.parametrize(("unit", "said"), [("g", "g"), (None, "times the local field")])
-def test_forces_that_were_seen_are_in_the_unit_of_the_field(unit, said):
-    c = SimpleNamespace(
-        readings=SimpleNamespace(forced=np.array([False, False, True])),
-        reference=np.array([[0.0, 0.6, 0.8], [-1.0, 0.0, 0.0], [0.0, 3.0, -4.0]]),
-        rms=0.0,
-        field=SimpleNamespace(same_everywhere=True, unit=unit),
-    )
-    seen = validity.applied(c)
-    assert (seen.sphere, seen.largest, seen.unit) == (1.0, 5.0, said)
-    assert (seen.low.tolist(), seen.high.tolist()) == ([-1.0, -1.0, -4.0], [1.0, 3.0, 1.0])
-
-
-def test_how_much_a_parameter_loses_by_the_others():
-    """1/√(1 − R²) of each column on the rest, the largest of all outputs."""
-    rng = np.random.default_rng(6)
-    blocks = [(0, rng.normal(size=(9, 3)) + 2.0), (1, rng.normal(size=(9, 2)))]
-    model = SimpleNamespace(respond=lambda *_: (None, blocks))
-    c = SimpleNamespace(
-        model=model, parameters=None, reference=None, readings=SimpleNamespace(environment={})
-    )
-    losses = []
-    for _, X in blocks:
-        for j in range(X.shape[1]):
-            rest = np.delete(X, j, axis=1)
-            left = X[:, j] - rest @ np.linalg.lstsq(rest, X[:, j], rcond=None)[0]
-            losses.append(np.linalg.norm(X[:, j]) / np.linalg.norm(left))
-    assert _largest_loss(c) == pytest.approx(max(losses))
-
-
-def test_how_force_follows_parameters_at_the_mean_temperature():
-    """df/dp = −K⁻¹ X of y = b + K f + c T, at T of 20 on average; what is unseen beside it."""
-    rng = np.random.default_rng(3)
-    formula = "1 + x + z + temperature"
-    model = build_model(formula, ("a", "b"), ("x", "z"), ("x", "z"), known=("temperature",))
-    theta = rng.normal(size=8) + np.array([0, 3, 0, 0, 0, 0, 3, 0])
-    c = SimpleNamespace(
-        model=model, parameters=theta,
-        mean_environment={"temperature": 20.0},
-    )  # fmt: skip
-    asked = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sphere, "unseen_covariance", lambda *given: asked.append(given) or "unseen")
-        slopes, unseen = sphere._sensitivity(c, np.array([[0.6, -0.8], [0.1, 0.2]]))
-    assert unseen == "unseen"
-    assert asked[0][2]["temperature"].tolist() == [20.0, 20.0]
-    K = theta.reshape(2, 4)[:, 1:3]
-    for f, found in zip(((0.6, -0.8), (0.1, 0.2)), slopes, strict=True):
-        X = np.kron(np.eye(2), [1.0, *f, 20.0])
-        assert_allclose(found, -np.linalg.inv(K) @ X, rtol=1e-9)
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
@@ -288,53 +173,3 @@ def test_what_a_degree_does_to_readings():
         assert_allclose(found, wanted, atol=1e-12)
     with pytest.raises(mp.MultiposError, match="no temperature terms"):
         sensitivities._temperature_moves(c, SimpleNamespace(settings={}))
-
-
-def test_errors_of_a_table_move_force_by_the_gravity_that_is_there():
-    """About z from x to y with 1.25 of gravity as stated, which pulls: at 30° and at 90°."""
-    c = SimpleNamespace(sign=-1.0, field=SimpleNamespace(magnitude=1.25))
-    roll = SimpleNamespace(axis="z", plane=("x", "y"), rows=(3, 5), angle=np.radians([30.0, 90.0]))
-    assert_allclose(turntable._along(c, roll), [[0.0, 0.0, -1.25]] * 2)
-    turn = [[0.625, -1.25 * 0.75**0.5, 0.0], [1.25, 0.0, 0.0]]
-    assert_allclose(turntable._turn(c, roll), turn, atol=1e-15)
-
-
-@pytest.mark.parametrize(("off", "count"), [(0.9e-3, 2), (1.1e-3, 3)])
-def test_rows_of_a_roll_belong_to_mountings_by_their_sense(off, count):
-    """Two meet where .3 + h is 1.2 − h: such rows go with their neighbours, the following first."""
-    head = np.array([0.05, 1.0, 0.45, 2.0, 2.9, 0.45, 0.1, 0.45, 0.9, 2.2, 5.0])
-    sense = np.array([1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0])
-    angle = np.remainder(np.where(sense > 0, 0.3, 1.2) + sense * head, 2 * np.pi)
-    angle[4] += off
-    found = dividing_head._mountings(SimpleNamespace(angle=angle), head)
-    rows = [each.tolist() for _, each in found]
-    if count == 2:
-        assert [each for each, _ in found] == [1.0, -1.0]
-        assert rows == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9, 10]]
-    else:
-        assert len(rows) == 3
-        assert [4] in rows
-    many = np.random.default_rng(2).uniform(0.0, 6.0, (2, 30))
-    roll = SimpleNamespace(angle=many[0])
-    ((single, one),) = dividing_head._mountings(roll, many[1])
-    assert (single, one.shape) == (1.0, (1,))
-    roll.angle = many[0, :24]
-    assert len(dividing_head._mountings(roll, many[1, :24])) == 24
-
-
-@pytest.mark.parametrize(
-    ("used", "law"), [(2e-4, ("rectangular", 7.0)), (3e-4, ("normal", math.inf)), (0.0, None)]
-)
-def test_gravity_of_a_budget_is_as_it_was_used(used, law):
-    """With the law that is stated where it is the one that was stated; none is none."""
-    stated = {
-        "gravity": SimpleNamespace(name="gravity", u=2e-4, distribution="rectangular", dof=7.0),
-        "gain": SimpleNamespace(name="gain"),
-        "third_order": SimpleNamespace(name="third_order"),
-    }
-    c = SimpleNamespace(gravity=SimpleNamespace(u=used, size_unit="m/s^2"))
-    found = propagation.find_quantities(c, SimpleNamespace(quantities=stated))
-    assert [each.name for each in found] == (["gravity", "gain"] if law else ["gain"])
-    if law:
-        own = found[0]
-        assert (own.u, own.unit, own.distribution, own.dof) == (used, "m/s^2", *law)
