@@ -55,7 +55,7 @@ Rows = tuple[tuple[str, ...], Sequence[tuple[str, ...]]]
 
 def parameter_rows(found: Mapping[str, Any]) -> Rows:
     """Return how every parameter spreads over the line."""
-    header = ("parameter", "unit", "mean", "sd", "sd of units", "lsl", "usl", "Cpk", "Ppk", "true")
+    header = ("parameter", "unit", "mean", "sd", "sd of units", "lsl", "usl", "Cpk", "Ppk")
     rows = [
         (
             each["name"],
@@ -64,7 +64,7 @@ def parameter_rows(found: Mapping[str, Any]) -> Rows:
         )
         for each in found["parameters"]
     ]
-    return header, rows
+    return (*header, "Ppk of units"), rows
 
 
 def _spread(each: Mapping[str, Any]) -> tuple[str, ...]:

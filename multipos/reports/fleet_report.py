@@ -23,7 +23,7 @@ _EXPLAINED = (
     "Statistics cover units with a valid fit.",
     (
         "'sd' includes measurement noise; 'sd of units' does not. Cpk is taken with the spread "
-        "within stations, Ppk with that of all units, 'true' with the measurement removed; in "
+        "within stations, Ppk with that of all units, Ppk of units without measurement noise; in "
         "brackets 95 % intervals."
     ),
 )

@@ -251,8 +251,8 @@ def sphere_section(c: Calibration) -> Section:
         )
         paragraphs[1:] = [paragraphs[1], without] if allowed else [without]
         listed = [f"{name} ({c.field.shown(size)})" for name, size in shown_sizes(c).items()]
-        terms = f"Of higher order these positions do show {', '.join(listed)}, with what noise "
-        paragraphs += [f"{terms}leaves open."] if listed else []
+        omitted = f"The model omits {', '.join(listed)}, which these positions would show; in "
+        paragraphs += [f"{omitted}parentheses the size that noise allows."] if listed else []
     if c.model.inputs == COMPONENTS and not c.readings.forced.any():
         paragraphs.append(
             "No static positions can separate the sum of the squares of x, y and z from a "

@@ -368,7 +368,7 @@ def _without_causes(c: Calibration, row: Row, cleared: Cleared) -> Row:
     factor, kept = c.model.per_parameter(by_output, by_output.mean(axis=1, keepdims=True))
     return replace(
         row,
-        text="residual noise but for common causes",
+        text="residual noise without common causes",
         dof=row.dof * kept,
         covariance=row.covariance * np.outer(factor, factor),
     )

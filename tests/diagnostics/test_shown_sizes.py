@@ -36,7 +36,7 @@ def test_six_faces_show_the_square_alone_and_the_report_says_so(tmp_path):
     page = tmp_path / "report.md"
     mp.report(cal, page)
     said = page.read_text("utf-8")
-    assert "these positions do show own^2" in said
+    assert "The model omits own^2" in said
     assert f"own^2 ({in_unit(size, 'g')})" in said
 
 

@@ -131,7 +131,7 @@ def test_numbers_of_the_budget(calibration):
     section = build_content(calibration).sections[1]
     lines, contributions = section.tables
     assert [row[0] for row in lines.rows] == [
-        "residual noise but for common causes",
+        "residual noise without common causes",
         "local gravity",
         "level of the table, two axes",
         "gain of the ADC or voltmeter",

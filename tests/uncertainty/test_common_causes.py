@@ -228,7 +228,7 @@ def test_the_file_says_what_the_scatter_is_of(tmp_path):
     rows = cal.to_dict()["budget"]["rows"]
     assert not any(row["contained"] for row in rows)
     texts = {row.text for row in evaluate_budget(cal).rows if row.evaluation == "A"}
-    assert texts == {"residual noise but for common causes"}
+    assert texts == {"residual noise without common causes"}
 
 
 def test_monte_carlo_gives_the_same_u():
