@@ -1,8 +1,7 @@
 """What is estimated of many units, and what is left of their readings after compensation.
 
 `rms_of` is what is left after compensation and `compensated` the same by steps;
-`model_coefficients` are those of parameters, and `join_estimates` puts estimates of some units
-after others.
+`join_estimates` puts estimates of some units after others.
 
 Arrays have a leading axis of B units. What is left of the force, f − f_ref, follows from the
 residuals r alone where the model is linear: A (f − f_ref) = r, A the sensitivities. Otherwise it is
@@ -108,7 +107,7 @@ def rms_of(
     parameters : (B, p) array
     values, residuals : (M, B, n) arrays
     """
-    theta = model_coefficients(model, parameters)
+    theta = model.coefficients(parameters)
     if model.is_linear:
         inverted = _invert(model, environment, theta)
         return _rms(inverted.inverse, residuals), inverted
@@ -141,16 +140,6 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
         weighted=joined("weighted", 1),
         solutions=tuple(each for part in parts for each in part.solutions),
     )
-
-
-def model_coefficients(model: Model, parameters: Array) -> Array:
-    """Return the coefficients (B, M, T) of parameters (B, p), as `Model.coefficients` of one."""
-    outputs, columns, copies = model.rows
-    theta = np.zeros((len(parameters), len(model.outputs), len(model.basis_terms)))
-    theta[:, outputs, columns] = parameters
-    for parameter, output, column in copies:
-        theta[:, output, column] = parameters[:, parameter]
-    return theta
 
 
 class Inverted(NamedTuple):

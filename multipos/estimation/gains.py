@@ -35,7 +35,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.estimation.closed_form import closed_form_gain
 from multipos.estimation.descent import maximise
-from multipos.estimation.information import FisherInformation, information_at
+from multipos.estimation.information import FisherInformation
 from multipos.estimation.likelihood import evaluate, linearise, respond
 from multipos.estimation.problem import (
     Optimum,
@@ -193,4 +193,4 @@ def about_solution(calibration: Calibration) -> tuple[Problem, State]:
 def information_at_solution(calibration: Calibration) -> tuple[Problem, FisherInformation]:
     """Return the problem of a calibration about its solution, and the Fisher information there."""
     problem, state = about_solution(calibration)
-    return problem, information_at(problem, state)
+    return problem, FisherInformation(problem, state)

@@ -3,7 +3,8 @@
 `evaluate` returns force, residuals and F at a state, `linearise` the normal equations and
 `eliminate` the angles of each position; `assemble` sums over positions, which `weigh` weighs and
 `full` makes matrices of. `respond` solves, `moved` takes the step, and `recentred` begins again
-from there.
+from there. Rows are positions of one unit, or of several, one after the other, of which
+`parameters_of` a state has one set each.
 
 A reading at position k, and how the position may differ from where it should be:
 
@@ -66,23 +67,32 @@ def evaluate(problem: Problem, state: State) -> Point:
     if turn is not None:
         direction = np.einsum("nij,nj->ni", turn, direction)
     force = problem.magnitude[:, None] * direction
-    outputs, blocks = problem.model.respond(state.theta, force, problem.environment)
+    outputs, blocks = problem.model.respond(
+        parameters_of(problem, state), force, problem.environment
+    )
     residuals = problem.values - outputs
     q = np.einsum("nm,nm->n", residuals, weigh(problem.precision, residuals))
     if problem.prior.any():
         q += problem.prior * np.einsum("ni,ni->n", state.step, state.step)
     total = q if problem.robust is None else losses.loss(problem.robust, q, problem.degrees)
-    objective = float(np.sum(total))
+    objective = np.sum(total.reshape(problem.units, -1), axis=1)
     if problem.has_parameter_prior:
-        objective += float(np.sum(problem.model.belief(state.theta)[0] ** 2))
+        objective += np.sum(problem.model.belief(state.theta)[0] ** 2, axis=-1)
     if problem.level_sd > 0.0:
-        objective += float(state.tilt @ state.tilt) / problem.level_sd**2
-    return Point(force, blocks, residuals, q, objective)
+        objective += state.tilt @ state.tilt / problem.level_sd**2
+    one = state.theta.ndim == 1
+    return Point(force, blocks, residuals, q, float(objective[0]) if one else objective)
+
+
+def parameters_of(problem: Problem, state: State) -> Array:
+    """Return the parameters (p,) of one unit, (B, p) of several."""
+    return state.theta if problem.units > 1 else state.theta.reshape(-1)
 
 
 def linearise(problem: Problem, state: State, point: Point) -> Normal:
     """Return the normal equations, eqs. (5) and (6), weighted by the loss."""
-    by_force = problem.model.force_jacobian(state.theta, point.force, problem.environment)
+    theta = parameters_of(problem, state)
+    by_force = problem.model.force_jacobian(theta, point.force, problem.environment)
     moves = np.einsum("nmi,nij->nmj", by_force, _force_by_step(problem, state))
     jacobian = moves
     if problem.rolls is not None:  # towards the axis nothing moves that has no sd
@@ -107,42 +117,58 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
         marginal = weight[:, None, None] * marginal
         reduced = weight[:, None] * reduced
     shared = _by_shared(problem, state, point, by_force, moves)
-    information, right = assemble(len(state.theta), point.blocks, marginal, reduced, shared)
+    p = theta.shape[-1]
+    information, right = assemble(p, point.blocks, marginal, reduced, shared, problem.units)
     if problem.has_parameter_prior:
         excess, slope = problem.model.belief(state.theta)
-        places = np.arange(len(slope))
-        information[places, places] += slope**2
-        right[places] -= slope * excess
+        places = np.arange(p)
+        information[:, places, places] += slope**2
+        right[:, places] -= slope * excess
     if problem.level_sd > 0.0:
-        information[-2:, -2:] += np.eye(2) / problem.level_sd**2
-        right[-2:] -= state.tilt / problem.level_sd**2
+        information[:, -2:, -2:] += np.eye(2) / problem.level_sd**2
+        right[:, -2:] -= state.tilt / problem.level_sd**2
+    if state.theta.ndim == 1:
+        information, right = information[0], right[0]
     return Normal(
         information, right, shared, jacobian, weighted, inverse, ease, angle_gradient, marginal
     )
 
 
 def assemble(
-    p: int, blocks: Sequence[Block], marginal: Array, reduced: Array, shared: Array
+    p: int, blocks: Sequence[Block], marginal: Array, reduced: Array, shared: Array, units: int = 1
 ) -> tuple[Array, Array]:
-    """Return sum A'WA and A' times reduced residuals, without forming A = (dh/dtheta, shared)."""
+    """Return sum A'WA and A' times reduced residuals, without forming A = (dh/dtheta, shared).
+
+    Of `units`, each a block of rows, along a leading axis.
+    """
     extra = shared.shape[2]
-    information = np.zeros((p + extra, p + extra))
-    right = np.zeros(p + extra)
-    for i, (places, mine) in enumerate(blocks):
-        right[places] += mine.T @ reduced[:, i]
-        for j, (targets, other) in enumerate(blocks[i:], start=i):
-            block = (mine * marginal[:, i, j, None]).T @ other
-            information[places[:, None], targets] += block
+    information = np.zeros((units, p + extra, p + extra))
+    right = np.zeros((units, p + extra))
+
+    def of_units(columns: Array) -> Array:
+        """Return columns (n, k) of all rows by unit (B, k, n)."""
+        return columns.T.reshape(columns.shape[1], units, -1).transpose(1, 0, 2)
+
+    each = [(places, of_units(slopes)) for places, slopes in blocks]
+    for i, (places, mine) in enumerate(each):
+        right[:, places] += (mine @ reduced[:, i].reshape(units, -1, 1))[:, :, 0]
+        for j, (targets, other) in enumerate(each[i:], start=i):
+            weight = marginal[:, i, j]
+            if not weight.any():  # as between outputs of an exact position
+                continue
+            weighted = mine * weight.reshape(units, 1, -1)
+            block = weighted @ other.transpose(0, 2, 1)
+            information[:, places[:, None], targets] += block
             if j > i:
-                information[targets[:, None], places] += block.T
+                information[:, targets[:, None], places] += block.transpose(0, 2, 1)
         if extra:
-            cross = mine.T @ np.einsum("nm,nms->ns", marginal[:, i], shared)
-            information[places, p:] += cross
-            information[p:, places] += cross.T
+            cross = mine @ np.einsum("nm,nms->ns", marginal[:, i], shared)
+            information[:, places, p:] += cross
+            information[:, p:, places] += cross.transpose(0, 2, 1)
     if extra:
         weighted = np.einsum("nmk,nks->nms", marginal, shared)
-        information[p:, p:] += np.einsum("nms,nmr->sr", shared, weighted)
-        right[p:] += np.einsum("nms,nm->s", shared, reduced)
+        information[:, p:, p:] += np.einsum("nms,nmr->sr", shared, weighted)
+        right[:, p:] += np.einsum("nms,nm->s", shared, reduced)
     return information, right
 
 
@@ -161,33 +187,48 @@ def respond(information: Array, right: Array) -> Array:
 
 
 def moved(
-    problem: Problem, state: State, point: Point, normal: Normal, step: Array, damping: float
+    problem: Problem,
+    state: State,
+    point: Point,
+    normal: Normal,
+    step: Array,
+    damping: Array | float,
 ) -> State:
     """Return the state after a step of the shared unknowns, each t_k by back substitution."""
-    p = len(state.theta)
-    theta = state.theta + step[:p]
-    outputs = np.array([slopes @ step[places] for places, slopes in point.blocks]).T
+    p, n = state.theta.shape[-1], len(problem.values)
+    each = step.reshape(problem.units, -1)
+    outputs = np.empty((n, len(point.blocks)))
+    for i, (places, slopes) in enumerate(point.blocks):
+        by_unit = slopes.T.reshape(len(places), problem.units, -1)
+        outputs[:, i] = np.einsum("kbn,bk->bn", by_unit, each[:, places]).ravel()
     turns, tilt, inclination = state.turns, state.tilt, state.inclination
     if problem.shared:
-        outputs = outputs + np.einsum("nms,s->nm", normal.shared, step[p:])
+        own = each[0, p:]
+        outputs += np.einsum("nms,s->nm", normal.shared, own)
         turns = np.array(
             [
-                rotations.rotation_matrix(step[p + 3 * g : p + 3 * g + 3]) @ turn
+                rotations.rotation_matrix(own[3 * g : 3 * g + 3]) @ turn
                 for g, turn in enumerate(state.turns)
             ]
         ).reshape(-1, 3, 3)
         if problem.level_sd > 0.0:
-            tilt = state.tilt + step[-2:]
-        after = p + 3 * problem.groups
-        inclination = inclination + step[after : after + problem.cones]
+            tilt = state.tilt + own[-2:]
+        after = 3 * problem.groups
+        inclination = inclination + own[after : after + problem.cones]
     back = normal.angle_gradient - np.einsum("nmi,nm->ni", normal.weighted, outputs)
     own = np.einsum("nij,nj->ni", normal.inverse, back)
     # Damped like the rest, so that a rejected step shrinks as a whole; a quarter turn at most.
     length = np.sqrt(np.einsum("ni,ni->n", own, own))
-    own *= np.minimum(normal.ease / (1.0 + damping), 1.5 / (length + 1e-300))[:, None]
+    ease = normal.ease / np.repeat(1.0 + np.atleast_1d(damping), n // problem.units)
+    own *= np.minimum(ease, 1.5 / (length + 1e-300))[:, None]
     step_of_each = state.step + own
     return replace(
-        state, theta=theta, step=step_of_each, turns=turns, tilt=tilt, inclination=inclination
+        state,
+        theta=state.theta + step[..., :p],
+        step=step_of_each,
+        turns=turns,
+        tilt=tilt,
+        inclination=inclination,
     )
 
 
@@ -313,6 +354,8 @@ def eliminate(
     rolled : (n,) array of bool
         Rolls of open angle, eliminated by `multipos.estimation.problem`.
     """
+    if exact.all():
+        return Eliminated(np.zeros(jacobian.shape), np.zeros((len(exact), 2, 2)), precision)
     first, second = jacobian[:, :, 0], jacobian[:, :, 1]
     one, two = weighted[:, :, 0], weighted[:, :, 1]
     a, d = _dot(first, one), _dot(second, two)

@@ -1,8 +1,8 @@
 """The noise of the readings of one unit, and the uncertainty of its parameters that follows.
 
 `estimate_noise` returns problem, optimum and factor with the noise that was found, and
-`estimate_tied_noise` those of outputs that are tied. `linear_model` is the linear model about an
-optimum, and `with_degrees` gives a solution the degrees of freedom of its outputs.
+`estimate_tied_noise` those of outputs that are tied. `with_degrees` gives a solution the degrees of
+freedom of its outputs.
 
 - **Unstated** noise, equal in all readings, is F/ν where every position is exact or unknown, F of
   `multipos.estimation.likelihood`, and ν = Σ m_k − (parameters and shared unknowns) the degrees of
@@ -28,17 +28,17 @@ Source: JCGM 100:2008, G.4.1.
 
 import math
 from dataclasses import replace
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 
 from multipos.estimation import descent, known, likelihood, starts, variances
 from multipos.estimation.problem import Optimum, Problem, Solution, start_state
-from multipos.estimation.variances import Block, Components, Linear, StatedComponents
+from multipos.estimation.units import Units, linear_model
+from multipos.estimation.variances import Components, StatedComponents
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
+from multipos.numerics.arrays import LARGEST, Array, Mask, median
 from multipos.numerics.quantiles import coverage_factors
-from multipos.numerics.rotations import cross_matrix
 from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import NoiseTest
 from multipos.sensor.found import Component, OrientationSpread, RestToRest, VarianceComponents
@@ -49,7 +49,6 @@ _MORE = 2.0  # times the stated orientation sd, from which on a larger one is sa
 _ROUNDING = 1e-9  # relative, below which no sd is known
 _FINEST = 1e-15  # of the largest reading, below which no noise is
 _WIDEST = 1.0  # [rad], beyond which an orientation is as good as unknown
-_RANK = 1e-7  # of the largest singular value, scaled, below which nothing is determined
 _NO_UNCERTAINTY = Finding(
     "no-dof",
     "warning",
@@ -118,7 +117,7 @@ def estimate_noise(
 
 def _of_residuals(problem: Problem, optimum: Optimum, nu: float) -> NoiseEstimate:
     """Return the noise as residuals show it; outputs may be unequal where all are fitted."""
-    noise = NoiseEstimate(optimum.point.objective / nu, nu)
+    noise = NoiseEstimate(float(optimum.point.objective) / nu, nu)
     if problem.exact.all() or not optimum.point.objective > 0.0:
         return noise
     linear = linear_model(problem, optimum).without_noise()
@@ -130,7 +129,7 @@ def _of_residuals(problem: Problem, optimum: Optimum, nu: float) -> NoiseEstimat
 
 def _with_components(first: Problem, optimum: Optimum, nu: float, given: StatedComponents) -> Found:
     """Return the solution under the variance components that readings show."""
-    unit = _Unit(first, first, optimum, given.noise)
+    unit = Units(first, first, optimum, stated=given.noise)
     found = variances.estimate(unit, np.ones(1, dtype=np.bool_), given)
     problem = unit.problem
     dof = median(found.dof[0])
@@ -166,7 +165,7 @@ def _with_components(first: Problem, optimum: Optimum, nu: float, given: StatedC
     return problem, unit.optimum, replace(noise, orientation_sd=sd, findings=tuple(findings))
 
 
-def _misfit_alone(unit: "_Unit", found: Components, nu: float) -> float:
+def _misfit_alone(unit: Units, found: Components, nu: float) -> float:
     """Return F under the stated noise alone, at the likely orientation errors.
 
     Where it is more than ν, at the largest of them: what these explain denies no noise.
@@ -206,7 +205,7 @@ def _components(
 
 def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
     """Return the solution at few positions of which nothing is stated."""
-    unit = _Unit(first, first, optimum, stated=False)
+    unit = Units(first, first, optimum, stated=False)
     linear = unit.linear()
     noise, factor = variances.own_axes_weights(linear)
     noise = max(noise, (_FINEST * float(np.abs(first.values).max())) ** 2)
@@ -245,135 +244,6 @@ def _are_crossed(problem: Problem) -> Mask:
         return np.ones(len(model.keys), dtype=np.bool_)
     own = {*model.own_scales}
     return np.array([bool(t.factors) and i not in own for i, (_, t) in enumerate(model.keys)])
-
-
-class _Unit:
-    """A problem of any kind at its optimum, whose noise is estimated: a batch of one."""
-
-    def __init__(self, first: Problem, problem: Problem, optimum: Optimum, stated: bool) -> None:
-        self.first, self.problem, self.optimum, self.stated = first, problem, optimum, stated
-
-    def of(self, units: Places) -> Self:
-        return self
-
-    def put(self, units: Places, other: Self) -> None:
-        self.problem, self.optimum = other.problem, other.optimum
-
-    def linear(self) -> Linear:
-        found = linear_model(self.first, self.optimum)
-        return found if self.stated else found.without_noise()
-
-    def searched(self, noise: Array, factor: Array | None) -> "tuple[_Unit, Mask]":
-        precision = _precision(self.first, noise[0], self.stated)
-        problem = replace(self.first, precision=precision)
-        if factor is not None:
-            sd = self.first.orientation_sd * np.sqrt(factor[0])
-            sd = np.where(np.isfinite(sd), np.minimum(sd, _WIDEST), sd)
-            problem = replace(problem, orientation_sd=sd)
-        optimum = descent.resume(problem, self.optimum)
-        return _Unit(self.first, problem, optimum, self.stated), np.ones(1, dtype=np.bool_)
-
-
-def linear_model(problem: Problem, optimum: Optimum) -> Linear:
-    """Return the linear model about an optimum, with the variances that `problem` states.
-
-    Positions are taken by how many combinations of their readings no free angle moves.
-    """
-    state, point = optimum.state, optimum.point
-    normal = likelihood.linearise(problem, state, point)
-    slopes = parameter_jacobian(problem.model, state.theta, point.force, problem.environment)
-    error = point.residuals + np.einsum("nmi,ni->nm", normal.jacobian, state.step)
-    design = np.concatenate([slopes, normal.shared], axis=2)
-    sd = np.where(problem.tied, problem.orientation_sd, 0.0)[:, None, None]
-    spread = sd * normal.jacobian * np.where(problem.rolled[:, None, None], [0.0, 1.0], 1.0)
-    plain = problem.precision.ndim == 2
-    variance = 1.0 / problem.precision if plain else _covariances(problem)
-    turned = _turned_by_labels(problem, optimum) if problem.repeats else None
-    blocks = []
-    free = np.where(problem.unknown, 2, np.where(problem.rolled, 1, 0))
-    for count in (0, 1, 2):
-        rows = free == count
-        if rows.any():
-            block = (error[rows], design[rows], spread[rows], variance[rows])
-            part = _without_free(*block, normal.jacobian[rows, :, :count])
-            if turned is not None and not count:
-                label = None if problem.label is None else problem.label[rows]
-                part = part._replace(turned=turned[None, rows], label=label)
-            blocks.append(part)
-    return _identifiable(problem, state.theta, tuple(blocks))
-
-
-def _turned_by_labels(problem: Problem, optimum: Optimum) -> Array:
-    """Return what a rotation of a position by one sd of its orientation does (n, M, 3)."""
-    state, force = optimum.state, optimum.point.force
-    by_force = problem.model.force_jacobian(state.theta, force, problem.environment)
-    sd = np.where(problem.tied, problem.orientation_sd, 0.0)
-    return np.asarray(-sd[:, None, None] * (by_force @ cross_matrix(force)))
-
-
-def _without_free(
-    error: Array, design: Array, spread: Array, variance: Array, free: Array
-) -> Block:
-    """Return a block of combinations of its readings that free angles (k, M, c) do not move."""
-    if not free.shape[2]:
-        return Block(error[None], design[None], spread[None], variance[None])
-    axes = np.linalg.svd(free)[0].transpose(0, 2, 1)[:, free.shape[2] :]
-    full = variance if variance.ndim == 3 else variance[:, :, None] * np.eye(len(axes[0, 0]))
-    left = axes @ full @ axes.transpose(0, 2, 1)
-    error = np.einsum("krm,km->kr", axes, error)
-    return Block(error[None], (axes @ design)[None], (axes @ spread)[None], left[None], axes[None])
-
-
-def _identifiable(problem: Problem, theta: Array, blocks: tuple[Block, ...]) -> Linear:
-    """Return the linear model with priors, without combinations that nothing determines.
-
-    Such as a rotation about the only direction of a group.
-    """
-    p, P = len(theta), blocks[0].design.shape[3]
-    tied = problem.has_parameter_prior or problem.level_sd > 0.0
-    if p == P and not tied:
-        return Linear(blocks)
-    prior, gradient, penalty = np.zeros(P), np.zeros(P), 0.0
-    if problem.has_parameter_prior:
-        excess, slope = problem.model.belief(theta)
-        prior[:p], gradient[:p], penalty = slope**2, -slope * excess, float(excess @ excess)
-    if problem.level_sd > 0.0:
-        prior[-2:] = 1.0 / problem.level_sd**2
-    if p == P:
-        return Linear(blocks, np.diag(prior), gradient, penalty)
-    sd = 1.0 / np.sqrt(
-        median(
-            problem.precision
-            if problem.precision.ndim == 2
-            else np.einsum("nmm->nm", problem.precision)
-        )
-    )
-    rows = [block.design.reshape(-1, P) / sd for block in blocks]
-    whole = np.concatenate([*rows, np.diag(np.sqrt(prior))])
-    scale = np.linalg.norm(whole, axis=0)
-    scale = 1.0 / np.where(scale > 0.0, scale, 1.0)
-    _, sizes, vectors = np.linalg.svd(whole * scale, full_matrices=False)
-    outer = scale[:, None] * vectors[sizes > _RANK * sizes[0]].T
-    reduced = tuple(block._replace(design=block.design @ outer) for block in blocks)
-    information = outer.T @ (prior[:, None] * outer)
-    return Linear(reduced, information, outer.T @ gradient, penalty, outer[:p])
-
-
-def _covariances(problem: Problem) -> Array:
-    """Return the stated covariance of each position (n, M, M)."""
-    if problem.precision.ndim == 3:
-        return np.asarray(np.linalg.inv(problem.precision))
-    return np.asarray((1.0 / problem.precision)[:, :, None] * np.eye(problem.values.shape[1]))
-
-
-def _precision(problem: Problem, noise: Array, stated: bool) -> Array:
-    """Return the precision of readings of noise (M,) beside what is stated of them."""
-    if not stated:
-        least = (_FINEST * float(np.abs(problem.values).max())) ** 2
-        return np.broadcast_to(1.0 / np.maximum(noise, least), problem.values.shape)
-    if problem.precision.ndim == 2:
-        return np.asarray(1.0 / (1.0 / problem.precision + noise))
-    return np.asarray(np.linalg.inv(_covariances(problem) + np.diag(noise)))
 
 
 def _noise_in_words(noise: NoiseEstimate) -> str:

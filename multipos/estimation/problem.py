@@ -25,10 +25,11 @@ are those of t_2. With J = (J_1, J_2), both eliminated one after the other, c = 
     H^-1 = ((1/h_1 + c²/(h_1² h_2), −c/(h_1 h_2)), (−c/(h_1 h_2), 1/h_2)).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -176,6 +177,11 @@ def turn_about(axis: str, matrix: Array) -> Array:
 RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ratios matter
 
 
+def rows_of(units: Places, n: int) -> Places:
+    """Return the rows of units of n positions each."""
+    return np.asarray((units[:, None] * n + np.arange(n)).ravel())
+
+
 @frozen
 class Problem:
     """Readings and the orientations of their positions, eqs. (1)–(3) of `likelihood`.
@@ -208,6 +214,9 @@ class Problem:
         Positions whose angle about an axis is open; `orientation_sd` is across their circle.
     label : (n,) array of int or None
         Number of the label of each position, whose rows share an orientation error.
+    units : int
+        B, of which the rows are those of as many positions each, one after the other; they share
+        no unknowns.
     """
 
     model: Model
@@ -225,11 +234,36 @@ class Problem:
     held: tuple[int, ...] = ()
     rolls: OpenRolls | None = None
     label: Places | None = None
+    units: int = 1
 
     def __post_init__(self) -> None:
         """Let positions run fastest in memory: every operation is on all of them at once."""
         for name in ("values", "precision", "reference"):
             object.__setattr__(self, name, np.asfortranarray(getattr(self, name)))
+
+    def of(self, units: Places) -> "Problem":
+        """Return the problem of some of the units."""
+        if len(units) == self.units:
+            return self
+        rows = rows_of(units, len(self.values) // self.units)
+        return replace(
+            self,
+            values=self.values[rows],
+            environment={name: column[rows] for name, column in self.environment.items()},
+            precision=self.precision[rows],
+            reference=self.reference[rows],
+            orientation_sd=self.orientation_sd[rows],
+            group=self.group[rows],
+            weight=self.weight[rows],
+            units=len(units),
+        )
+
+    def under_noise_of(self, units: Places, other: "Problem") -> "Problem":
+        """Return the problem with the noise and orientation sds of other units in place of some."""
+        precision, sd = self.precision.copy(order="K"), self.orientation_sd.copy()
+        rows = rows_of(units, len(self.values) // self.units)
+        precision[rows], sd[rows] = other.precision, other.orientation_sd
+        return replace(self, precision=precision, orientation_sd=sd)
 
     @cached_property
     def plain(self) -> "Problem":
@@ -329,7 +363,7 @@ class Problem:
 class State:
     """A point of the search: parameters, steps on the sphere and shared rotations."""
 
-    theta: Array  # (p,)
+    theta: Array  # (p,), or (B, p) of units
     centre: Array  # (n, 3) unit, from which `step` starts
     basis: Array  # (n, 3, 2)
     step: Array  # (n, 2) [rad]
@@ -346,15 +380,60 @@ class Point:
     blocks: tuple[Block, ...]  # dh/dtheta, by output
     residuals: Array  # (n, M)
     q: Array  # (n,)
-    objective: float
+    objective: Array | float  # (B,), of one unit a number
+
+
+Standing = tuple[State, Point]
+
+
+def some_units(here: Standing, units: Places) -> Standing:
+    """Return some of several units."""
+    rows = rows_of(units, len(here[0].step) // len(here[0].theta))
+    return _joined(lambda a: a[units], lambda a: a[rows], here)
+
+
+def with_units(here: Standing, units: Places, other: Standing) -> Standing:
+    """Return several units with others in places of some."""
+    rows = rows_of(units, len(here[0].step) // len(here[0].theta))
+
+    def put(a: Array, b: Array, places: Places) -> Array:
+        a = a.copy(order="K")
+        a[places] = b
+        return a
+
+    return _joined(lambda a, b: put(a, b, units), lambda a, b: put(a, b, rows), here, other)
+
+
+def _joined(
+    of_units: Callable[..., Array], of_rows: Callable[..., Array], *each: Standing
+) -> Standing:
+    """Return what two functions make of arrays by unit and by row; units share no unknowns."""
+    states, points = zip(*each, strict=True)
+    state = replace(
+        states[0],
+        theta=of_units(*(one.theta for one in states)),
+        centre=of_rows(*(one.centre for one in states)),
+        basis=of_rows(*(one.basis for one in states)),
+        step=of_rows(*(one.step for one in states)),
+    )
+    slopes = zip(*([slopes for _, slopes in one.blocks] for one in points), strict=True)
+    blocks = zip((places for places, _ in points[0].blocks), slopes, strict=True)
+    point = Point(
+        force=of_rows(*(one.force for one in points)),
+        blocks=tuple((places, of_rows(*both)) for places, both in blocks),
+        residuals=of_rows(*(one.residuals for one in points)),
+        q=of_rows(*(one.q for one in points)),
+        objective=of_units(*(np.asarray(one.objective) for one in points)),
+    )
+    return state, point
 
 
 @frozen
 class Normal:
     """The reduced normal equations at a point, eqs. (5), (6) of `likelihood`."""
 
-    information: Array  # S, (p + shared, p + shared)
-    gradient: Array  # (p + shared,)
+    information: Array  # S, (B, p + shared, p + shared), of one unit without its axis
+    gradient: Array  # (B, p + shared)
     shared: Array  # (n, M, shared): dh/d(rho, tau)
     jacobian: Array  # J_k, (n, M, 2)
     weighted: Array  # Sigma^-1 J, (n, M, 2)
@@ -366,20 +445,27 @@ class Normal:
 
 @frozen(eq=True)
 class Optimum:
-    """Where the search ended."""
+    """Where the search ended, of units with arrays (B,)."""
 
     state: State
     point: Point
-    converged: bool
-    iterations: int
-    last_step: float
-    gradient: float
+    converged: Any
+    iterations: Any
+    last_step: Any
+    gradient: Any
+
+    def of(self, units: Places) -> "Optimum":
+        """Return some of several units."""
+        standing = some_units((self.state, self.point), units)
+        ended = self.converged, self.iterations, self.last_step, self.gradient
+        return Optimum(*standing, *(each[units] for each in ended))
 
     @property
     def status(self) -> Status:
-        """How the search ended, for the result."""
+        """How the search of one unit ended, for the result."""
         said = f"converged in {self.iterations} iterations"
-        return Status(self.converged, self.iterations, said, self.last_step, self.gradient)
+        last_step, gradient = float(self.last_step), float(self.gradient)
+        return Status(bool(self.converged), int(self.iterations), said, last_step, gradient)
 
 
 DIRECT = Status(True, 0, "solved directly")

@@ -153,7 +153,7 @@ def _of_readings(problem: Problem, optimum: Optimum) -> _Own:
     degrees = np.einsum("nij,nji->n", covariance, W)
     p, kept = len(optimum.state.theta), problem.weight == 1.0
     used = np.where(kept[:, None, None], W @ covariance @ W, 0.0)
-    taken, _ = assemble(p, point.blocks, used, np.zeros_like(r), normal.shared)
+    (taken,), _ = assemble(p, point.blocks, used, np.zeros_like(r), normal.shared)
     return _Own(misfits, degrees, float(np.trace(respond(normal.information, taken))))
 
 

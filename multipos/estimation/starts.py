@@ -38,7 +38,7 @@ from multipos.estimation.identifiability import (
     position_words,
     require_separable,
 )
-from multipos.estimation.information import FisherInformation, information_at
+from multipos.estimation.information import FisherInformation
 from multipos.estimation.known import ZERO_NORM
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import (
@@ -338,7 +338,7 @@ def _require_above_noise(problem: Problem, start: State, optimum: Optimum) -> No
     limit = plausible_range(model, start.theta, size)
     if limit is None or not optimum.point.objective > 0.0:  # as many parameters as positions
         return
-    fisher = information_at(problem.plain, start)
+    fisher = FisherInformation(problem.plain, start)
     information = reduced_information(fisher.information, len(limit))
     nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
     relative = information * np.outer(limit, limit) * nu / optimum.point.objective
@@ -421,7 +421,7 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
 
 def require_information(problem: Problem, optimum: Optimum) -> FisherInformation:
     """Return the information at an optimum, where it determines every parameter."""
-    fisher = information_at(problem, optimum.state, optimum.point)
+    fisher = FisherInformation(problem, optimum.state, optimum.point)
     information = reduced_information(fisher.information, len(problem.model.keys))
     if not np.isfinite(information).all():
         raise ConvergenceError(

@@ -1,31 +1,17 @@
-"""Unknown orientations of triads: one number a position, B units at once.
+"""Unknown orientations of triads: where searches start, and B units at once.
 
-`estimate_unknown` fits B units of which `share_sphere` is what they share; `search` is where their
-searches end, and `fit_ellipsoids` where they start, as `linear_parameters`. `is_along_force` tells
-where all of this holds, `combined` are outputs of coefficients, and `symmetric_root` is a square
-root of M M'.
+`estimate_unknown` fits B units of which `share_sphere` is what they share, by the search of
+`multipos.estimation.descent`. `fit_ellipsoids` are where searches start, as `linear_parameters`,
+and `symmetric_root` is a square root of M M'.
 
-Where nothing is known of any position and three outputs see it, what is left of a reading after
-its two angles are eliminated is its part along the normal of the surface that the readings of all
-directions form. With the residuals r = y − h(f) of variances Σ, G = dh/df and A = dh/dθ,
+Units share the form of the equations and nothing else. Each starts on the ellipsoid on which its
+readings lie: with y = b + M d and |d| = g,
 
-    W = m m',      m = n/√(n'Σn),      n = det(G) G⁻ᵀ f,                                    (1)
-    S = Σ a a',    a = A'm,            S d = Σ a m'r,                                       (2)
-
-and the direction follows along the surface, which needs no projection:
-
-    df = G⁻¹ (x − Σ m m'x),            x = r − A d,        f'df = 0.                        (3)
-
-That is `multipos.estimation.likelihood` at s = ∞ to the digit, in a fifth of its operations; a test
-holds the two together. A robust loss weights the rows a by the root of its weight. Units share the
-form of the equations and nothing else. Each starts on the ellipsoid on which its readings lie: with
-y = b + M d and |d| = g,
-
-    (y − b)' (M M')⁻¹ (y − b) = g²,                                                         (4)
+    (y − b)' (M M')⁻¹ (y − b) = g²,                                                         (1)
 
 a quadric. With S₀ a symmetric matrix of trace zero, it is one that is linear in its unknowns,
 
-    |y|² = y'S₀y + 2 v'y + w,      B = I − S₀,    b = B⁻¹v,    ρ² = w + v'B⁻¹v,             (5)
+    |y|² = y'S₀y + 2 v'y + w,      B = I − S₀,    b = B⁻¹v,    ρ² = w + v'B⁻¹v,             (2)
 
 and (y − b)'B(y − b) = ρ². It is fitted to centred, scaled readings by least squares, so that
 neither a unit nor a guess is needed. M M' = (ρ²/g²) B⁻¹ then, and M is its lower triangular
@@ -42,37 +28,23 @@ parameter, or where stated uncertainties cannot be weights.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.estimation.batches import (
-    Estimates,
-    Solution,
-    compensated,
-    join_estimates,
-    model_coefficients,
-)
+from multipos.estimation.batches import Estimates, compensated, join_estimates
+from multipos.estimation.descent import maximise
 from multipos.estimation.identifiability import plausible_range
 from multipos.estimation.known import ROUNDING
-from multipos.estimation.problem import Point, Problem, State
+from multipos.estimation.likelihood import linearise
+from multipos.estimation.problem import State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
-from multipos.estimation.variances import (
-    Block,
-    Linear,
-    StatedComponents,
-    estimate,
-    with_unequal_outputs,
-)
+from multipos.estimation.units import Units, by_unit, pose_units, solution_of, state_of
+from multipos.estimation.variances import StatedComponents, estimate, with_unequal_outputs
 from multipos.files.records import LARGEST
-from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
-from multipos.numerics.cofactors import cofactors_of
-from multipos.numerics.levenberg_marquardt import STRICT, Rules, descend
-from multipos.numerics.losses import Loss, loss, loss_weight
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, median
 from multipos.numerics.quantiles import coverage_factors
-from multipos.numerics.rotations import step_on_sphere, tangent_basis
+from multipos.numerics.rotations import directions
 from multipos.results import frozen
 from multipos.sensor.model import Model
 
@@ -94,285 +66,6 @@ class SharedSphere:
     model: Model
     size: float
     environment: Mapping[str, Array]
-
-
-class Place(NamedTuple):
-    """Units (B) at a point of their search; positions run fastest in memory."""
-
-    theta: Array  # (B, p)
-    coefficients: Array  # of the terms of each output, (B, M, T)
-    q: Array  # what each position adds to F, (B, n)
-    objective: Array  # F, (B,)
-    step: Array  # t from the listed directions (2, B, n) [rad]; of unknown ones (0, B, n)
-    force: Array  # (3, B, n) [g]
-    phi: Array  # terms of the model, (T, B, n)
-    residuals: Array  # (M, B, n)
-
-    def of(self, units: NDArray[Any]) -> "Place":
-        """Return some of the units."""
-        across = [each[:, units] for each in self[4:]]
-        return Place(*(each[units] for each in self[:4]), *across)
-
-    def put(self, units: Places, other: "Place") -> None:
-        """Put other units in places of these."""
-        for mine, theirs in zip(self[:4], other[:4], strict=True):
-            mine[units] = theirs
-        for mine, theirs in zip(self[4:], other[4:], strict=True):
-            mine[:, units] = theirs
-
-    def point(self, model: Model) -> Point:
-        """Return the place of one unit as other searches have it."""
-        phi = self.phi[:, 0]
-        blocks = tuple((rows, phi.take(columns, axis=0).T) for columns, rows in model.contributions)
-        force, residuals = self.force[:, 0].T, self.residuals[:, 0].T
-        return Point(force, blocks, residuals, self.q[0], float(self.objective[0]))
-
-
-class Surface(NamedTuple):
-    """The normal equations, eqs. (1), (2)."""
-
-    information: Array  # (B, p, p)
-    gradient: Array  # (B, p)
-    rows: Array  # a, (B, p, n)
-    height: Array  # m'r, (B, n)
-    cofactors: Array  # (3, 3, B, n), of G
-    determinant: Array  # (B, n)
-    normal: Array  # m, (3, B, n)
-    across: Array  # Σm, (3, B, n)
-    excess: Array  # (B, n), how far outside a reading lies, relative to the force
-
-
-def combined(coefficients: Array, phi: Array) -> Array:
-    """Return the outputs (M, B, n) of coefficients (B, M, T) and terms (T, B, n)."""
-    found = coefficients @ phi.transpose(1, 0, 2)
-    return np.ascontiguousarray(found.transpose(1, 0, 2))
-
-
-def is_along_force(problem: Problem) -> bool:
-    """Return whether all positions of a triad are unknown and its outputs uncorrelated.
-
-    W is then that of eq. (1).
-    """
-    return bool(
-        problem.unknown.all()
-        and problem.precision.ndim == 2
-        and problem.values.shape[1] == 3
-        and not problem.shared
-    )
-
-
-@frozen
-class UnknownSearch:
-    """What a step of the search needs.
-
-    Attributes
-    ----------
-    shared : SharedSphere
-    values, variance : (3, B, n) arrays
-        Readings and Σ.
-    robust : str or None
-        Name of a loss.
-    degrees : (n,) array
-        Degrees of freedom of each position, which the loss asks for.
-    """
-
-    shared: SharedSphere
-    values: Array
-    variance: Array
-    robust: Loss | None = None
-    degrees: Array = field(default_factory=lambda: np.ones(1))
-    rules = Rules()
-
-    @staticmethod
-    def fits(problem: Problem) -> bool:
-        """Return whether a problem is one of these, with a model of terms."""
-        return is_along_force(problem) and type(problem.model) is Model
-
-    @classmethod
-    def of_problem(cls, problem: Problem) -> Self:
-        """Return the search of a problem that `fits`, a batch of one."""
-        model = problem.model
-        columns = {name: problem.environment[name] for name in model.fitted_columns}
-        return cls(
-            SharedSphere(model, float(problem.magnitude[0]), columns),
-            problem.values.T[:, None],
-            1.0 / problem.precision.T[:, None],
-            problem.robust,
-            problem.degrees,
-        )
-
-    def begin(self, state: State) -> Place:
-        """Return the place of a state."""
-        direction = state.centre
-        if state.step.any():
-            direction = step_on_sphere(direction, state.basis, state.step)
-        return self.at(state.theta[None], (self.shared.size * direction.T)[:, None])
-
-    def place(self, state: State, point: Point) -> Place:
-        """Return the place of a state at which the model is known."""
-        theta, force, residuals = state.theta[None], point.force.T[:, None], point.residuals.T
-        coefficients, phi = model_coefficients(self.shared.model, theta), self._phi(force)
-        misfits = point.q[None], np.array([point.objective])
-        return Place(theta, coefficients, *misfits, force[:0], force, phi, residuals[:, None])
-
-    def end(self, place: Place, state: State) -> tuple[State, Point]:
-        """Return state and point of a place, from the state of the beginning."""
-        centre = (place.force[:, 0] / self.shared.size).T
-        found = replace(
-            state,
-            theta=place.theta[0],
-            centre=centre,
-            basis=tangent_basis(centre),
-            step=np.zeros_like(state.step),
-        )
-        return found, place.point(self.shared.model)
-
-    def of(self, units: Places) -> Self:
-        """Return the search of some of the units."""
-        return replace(self, values=self.values[:, units], variance=self.variance[:, units])
-
-    def at(self, theta: Array, force: Array) -> Place:
-        """Return units at parameters (B, p) and forces (3, B, n)."""
-        return self._at(theta, model_coefficients(self.shared.model, theta), force)
-
-    def _at(self, theta: Array, coefficients: Array, force: Array) -> Place:
-        phi = self._phi(force)
-        residuals = self.values - combined(coefficients, phi)
-        misfits = self._misfits(residuals)
-        return Place(theta, coefficients, *misfits, force[:0], force, phi, residuals)
-
-    def under_noise(self, place: Place) -> Place:
-        """Return a place with the misfits that this noise makes of its residuals."""
-        q, objective = self._misfits(place.residuals)
-        return place._replace(q=q, objective=objective)
-
-    def _misfits(self, residuals: Array) -> tuple[Array, Array]:
-        q = np.einsum("mbn,mbn->bn", residuals, residuals / self.variance)
-        total = q if self.robust is None else loss(self.robust, q, self.degrees)
-        return q, total.sum(axis=1)
-
-    def linearise(self, place: Place) -> Surface:
-        """Return the normal equations of eqs. (1), (2), weighted by the loss."""
-        model, size = self.shared.model, self.shared.size
-        G = model.force_slopes(place.coefficients, place.force, self.shared.environment)
-        cofactors = cofactors_of(G)
-        determinant = np.einsum("ibn,ibn->bn", G[0], cofactors[0])
-        normal = np.einsum("mibn,ibn->mbn", cofactors, place.force)
-        across = self.variance * normal
-        height = np.einsum("mbn,mbn->bn", normal, place.residuals)
-        excess = height / (determinant * size**2)
-        root = 1.0 / np.sqrt(np.einsum("mbn,mbn->bn", normal, across))
-        normal *= root
-        across *= root
-        height *= root
-        outputs, columns, copies = model.rows
-        rows = normal.take(outputs, axis=0) * place.phi.take(columns, axis=0)
-        for parameter, output, column in copies:
-            rows[parameter] += normal[output] * place.phi[column]
-        rows = np.ascontiguousarray(rows.transpose(1, 0, 2))
-        weighted = rows
-        if self.robust is not None:
-            weighted = rows * loss_weight(self.robust, place.q, self.degrees)[:, None]
-        return Surface(
-            weighted @ rows.transpose(0, 2, 1),
-            (weighted @ height[:, :, None])[:, :, 0],
-            rows,
-            height,
-            cofactors,
-            determinant,
-            normal,
-            across,
-            excess,
-        )
-
-    def move(self, place: Place, surface: Surface, step: Array, damping: Array) -> Place:
-        """Return places after steps (B, p) of the parameters, directions following by eq. (3)."""
-        change = model_coefficients(self.shared.model, step)
-        left = place.residuals - combined(change, place.phi)
-        left -= surface.across * np.einsum("mbn,mbn->bn", surface.normal, left)
-        turn = np.einsum("mibn,mbn->ibn", surface.cofactors, left) / surface.determinant
-        # as in `multipos.estimation.likelihood`: damped like the rest, and eased far outside the
-        # sphere
-        ease = (1.0 + damping[:, None]) * (1.0 + np.maximum(surface.excess, 0.0))
-        force = place.force + turn / ease
-        force *= self.shared.size / np.sqrt(np.einsum("ibn,ibn->bn", force, force))
-        return self._at(place.theta + step, place.coefficients + change, force)
-
-    def solution(self, place: Place, surface: Surface) -> Solution:
-        """Return units about places."""
-        m = surface.normal
-        slopes = m[:, None] * surface.rows.transpose(1, 0, 2)
-        push = place.residuals / self.variance
-        of_units = m[:, None] * m, slopes, surface.information, push, self.variance, place.force
-        return Solution(*of_units, place.objective, m, surface.rows)
-
-    def linear(self, place: Place, stated: Array) -> Linear:
-        """Return the linear models of what lies along the normals, of length one.
-
-        `stated` (3, B, n) are the variances to state.
-        """
-        surface = self.linearise(place)
-        length = np.sqrt(np.einsum("mbn,mbn->bn", surface.normal, surface.normal))
-        design = surface.rows.transpose(0, 2, 1) / length[:, :, None]
-        mix = surface.normal / length
-        variance = np.einsum("mbn,mbn->bn", mix**2, stated)
-        none = np.zeros((*length.shape, 1, 2))
-        error = (surface.height / length)[..., None]
-        whole = (error, design[:, :, None], none, variance[..., None])
-        return Linear((Block(*whole, np.moveaxis(mix, 0, 2)[:, :, None]),))
-
-    def _phi(self, force: Array) -> Array:
-        _, count, n = force.shape
-        columns = {name: np.tile(each, count) for name, each in self.shared.environment.items()}
-        phi = self.shared.model.basis(force.reshape(3, -1).T, columns)
-        return phi.T.reshape(-1, count, n)
-
-
-def search(start: Any, place: Place, decrement: float = STRICT) -> tuple[Place, Mask]:
-    """Return where the searches of units end, unknown or uncertain, and of which they do."""
-    largest = np.sqrt((start.values**2 / start.variance).max(axis=(0, 2)))
-    found, ended = descend(start, place, start.rules._replace(decrement=decrement), largest)
-    return found, ended.converged
-
-
-class SearchedUnits:
-    """Units at the end of their searches, whose noise is estimated: with the stated one first."""
-
-    def __init__(self, first: Any, search: Any, place: Place, *, stated: bool = True) -> None:
-        """Take the searches under the first noise, which is `stated` or any, and the present."""
-        self.first, self.search, self.found, self.stated = first, search, place, stated
-
-    def of(self, units: Places) -> Self:
-        """Return some of the units."""
-        parts = (each.of(units) for each in (self.first, self.search, self.found))
-        return type(self)(*parts, stated=self.stated)
-
-    def put(self, units: Places, other: Self) -> None:
-        """Put other units in places of these."""
-        self.search.variance[:, units] = other.search.variance
-        self.found.put(units, other.found)
-
-    def with_noise(self, noise: Array) -> Array:
-        """Return variances (M, B, n) of noise (B, M) beside what is stated."""
-        more = noise.T[:, :, None]
-        if self.stated:
-            return np.asarray(self.first.variance + more)
-        return np.array(np.broadcast_to(more, self.first.variance.shape))
-
-    def under(self, **noise: Array) -> tuple[Self, Mask]:
-        """Return the units under another noise, searched on from here, and which have ended."""
-        following = replace(self.first, **noise)
-        place, ended = search(following, following.under_noise(self.found))
-        return type(self)(self.first, following, place, stated=self.stated), ended
-
-
-class _Units(SearchedUnits):
-    def linear(self) -> Linear:
-        found: Linear = self.search.linear(self.found, self.first.variance)
-        return found
-
-    def searched(self, noise: Array, factor: Array | None) -> tuple[Self, Mask]:
-        return self.under(variance=self.with_noise(noise))
 
 
 _AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in the cache
@@ -419,79 +112,55 @@ def estimate_unknown(
     return join_estimates(parts)
 
 
-class _Found(NamedTuple):
-    """Where the searches of B units ended, and the uncertainty of their parameters."""
-
-    place: Place
-    u: Array  # (B, p)
-    dof: Array  # (B, p)
-    valid: Mask
-    search: UnknownSearch
-    surface: Surface
-
-
 def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) -> Estimates:
-    model = shared.model
-    n, p = values.shape[2], len(model.keys)
+    model, (_, count, n) = shared.model, values.shape
     variance = np.ones_like(values) if noise is None else np.moveaxis(noise.u**2, 2, 0).copy()
-    valid, theta, force = _start(shared, values)
-    start = UnknownSearch(shared, values, variance)
-    place, ended = search(start, start.at(theta, force))
-    surface = start.linearise(place)
-    nu = float(n - p)
-    factor = place.objective / nu
-    valid &= ended & _is_identifiable(shared, place, surface.information, factor)
-    chi2 = None
+    clear, theta, centre = _start(shared, values)
+    where = np.tile([shared.size, 0.0, 0.0], (n, 1)), np.full(n, np.inf)
+    problem = pose_units(model, *where, shared.environment, values, variance)
+    found = maximise(problem, state_of(problem, theta, centre))
+    information = linearise(problem, found.state, found.point).information
+    factor = np.asarray(found.point.objective) / float(n - len(model.keys))
+    valid = clear & found.converged & _is_identifiable(shared, found.state, information, factor)
+    units, chi2 = Units(problem, problem, found, stated=noise is not None), None
+    u, dof = np.full((2, *theta.shape), np.nan)
     if noise is None:
-        valid &= _inverse(surface.information).valid
-        u, dof = np.full((2, *place.theta.shape), np.nan)
+        valid &= _inverse(information).valid
         some = np.flatnonzero(valid)
         if len(some):
-            linear = start.linear(place, variance).without_noise().of(some)
-            u[some], dof[some] = with_unequal_outputs(linear)
-        found = _Found(place, u, dof, valid, start, surface)
+            u[some], dof[some] = with_unequal_outputs(units.linear().of(some))
     else:
-        chi2 = place.objective.copy()
-        found = _with_excess(start, place, noise, valid)
-    place, valid = found.place, found.valid & (np.abs(found.place.theta).max(axis=1) <= LARGEST)
-    valid &= (place.theta[:, list(model.own_scales)] > 0.0).all(axis=1)
-    squares = np.einsum("mbn,mbn->b", place.residuals, place.residuals)
+        chi2 = np.array(found.point.objective)
+        u, dof, valid = _with_excess(units, noise, valid, u)
+    theta, point = units.optimum.state.theta, units.optimum.point
+    residuals, force = by_unit(point.residuals, count), by_unit(point.force, count)
+    valid &= (np.abs(theta) <= LARGEST).all(axis=1)
+    valid &= (theta[:, list(model.own_scales)] > 0.0).all(axis=1)
+    squares = np.einsum("mbn,mbn->b", residuals, residuals)
     valid &= squares > ROUNDING**2 * np.einsum("mbn,mbn->b", values, values)
-    force = place.force.transpose(1, 2, 0)
-    left = compensated(
-        model,
-        shared.environment,
-        force,
-        model_coefficients(model, place.theta),
-        values,
-        place.residuals,
-    )
-    length = np.linalg.norm(force + left.force, axis=2)
+    there, coefficients = force.transpose(1, 2, 0), model.coefficients(theta)
+    left = compensated(model, shared.environment, there, coefficients, values, residuals)
+    length = np.linalg.norm(there + left.force, axis=2)
     rms = np.sqrt(np.mean((length - shared.size) ** 2, axis=1))
     valid &= left.inverted.sound
-    of_units = place.theta, found.u, found.dof, rms, place.residuals
-    solution = found.search.solution(place, found.surface)
-    estimates = Estimates(*of_units, *left.inverted[:2], valid, chi2)
-    return estimates._replace(solutions=(solution,))
+    estimates = Estimates(theta, u, dof, rms, residuals, *left.inverted[:2], valid, chi2)
+    return estimates._replace(solutions=(solution_of(units.problem, units.optimum),))
 
 
-def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: Mask) -> _Found:
-    """Return the solutions with the excess variance of readings whose noise is stated."""
-    first = replace(start, variance=start.variance.copy())
-    units = _Units(first, start, place)
+def _with_excess(
+    units: Units, noise: StatedNoise, valid: Mask, nothing: Array
+) -> tuple[Array, Array, Mask]:
+    """Return u and degrees of freedom (B, p) with the excess variance of stated noise."""
     try:
         found = estimate(units, valid & noise.sound, StatedComponents(True, "exact"))
     except np.linalg.LinAlgError:  # some unit is as good as singular
-        nothing = np.full(place.theta.shape, np.nan)
-        return _Found(place, nothing, nothing, np.zeros_like(valid), start, start.linearise(place))
+        return nothing, nothing, np.zeros_like(valid)
     u = found.U / coverage_factors(0.95, found.dof)
-    dof = combined_jointly(found.dof, noise, found.noise)
-    surface = units.search.linearise(units.found)
-    return _Found(units.found, u, dof, found.valid, units.search, surface)
+    return u, combined_jointly(found.dof, noise, found.noise), found.valid
 
 
 def _start(shared: SharedSphere, values: Array) -> tuple[Mask, Array, Array]:
-    """Return which units have an ellipsoid, parameters (B, p) and forces (3, B, n) there."""
+    """Return which units have an ellipsoid, parameters (B, p) and directions (B n, 3) there."""
     model = shared.model
     crossed = any("cross_" in name for name in model.names)
     found = fit_ellipsoids(values.transpose(1, 0, 2), crossed=crossed)
@@ -500,9 +169,9 @@ def _start(shared: SharedSphere, values: Array) -> tuple[Mask, Array, Array]:
         matrix = symmetric_root(matrix)
     linear = np.concatenate([found.bias[:, :, None], matrix], axis=2)
     centred = values.transpose(1, 0, 2) - found.bias[:, :, None]
-    force = np.linalg.solve(matrix, centred).transpose(1, 0, 2)
-    force = force * (shared.size / np.sqrt(np.einsum("ibn,ibn->bn", force, force)))
-    return found.clear, linear_parameters(model, linear), force
+    force = np.linalg.solve(matrix, centred).transpose(1, 0, 2).reshape(3, -1)
+    centre = directions(np.asarray(force.T, dtype=np.float64))
+    return found.clear, linear_parameters(model, linear), centre
 
 
 def linear_parameters(model: Model, linear: Array) -> Array:
@@ -544,7 +213,7 @@ class Ellipsoids(NamedTuple):
 
 
 def fit_ellipsoids(values: Array, *, crossed: bool) -> Ellipsoids:
-    """Return the ellipsoids on which readings (B, 3, n) lie, eqs. (4), (5).
+    """Return the ellipsoids on which readings (B, 3, n) lie, eqs. (1), (2).
 
     Without cross terms in M, six coefficients are fitted instead of nine.
     """
@@ -580,7 +249,7 @@ class _Quadrics(NamedTuple):
 
 
 def _quadrics(points: Array, *, crossed: bool) -> _Quadrics:
-    """Return the quadrics of eq. (5) of points (B, 3, n)."""
+    """Return the quadrics of eq. (2) of points (B, 3, n)."""
     x, y, z = np.moveaxis(points, 1, 0)
     columns = [x * x - z * z, y * y - z * z, 2 * x, 2 * y, 2 * z, np.ones_like(x)]
     if crossed:
@@ -645,15 +314,15 @@ def _inverse(information: Array) -> _Inverse:
     return _Inverse(np.linalg.inv(scaled) / (scale[:, :, None] * scale[:, None, :]), valid)
 
 
-def _is_identifiable(shared: SharedSphere, place: Place, information: Array, factor: Array) -> Mask:
+def _is_identifiable(shared: SharedSphere, state: State, information: Array, factor: Array) -> Mask:
     """Return which units determine every parameter far beyond what noise alone could explain."""
     model = shared.model
-    typical = median(place.theta, axis=0)
+    typical = median(state.theta, axis=0)
     limit = plausible_range(model, typical, shared.size)
     if limit is None:
         return np.zeros(len(factor), dtype=np.bool_)
     relative = information * np.outer(limit, limit) / factor[:, None, None]
     valid = np.isfinite(relative).all(axis=(1, 2))
     relative[~valid] = 0.0
-    n = place.force.shape[2]
+    n = len(state.centre) // len(state.theta)
     return np.asarray(valid & (np.linalg.eigvalsh(relative)[:, 0] > _CLEAR * n))

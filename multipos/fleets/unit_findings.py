@@ -33,7 +33,7 @@ from multipos.diagnostics.row_order import Plan, plan_of, search_units
 from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
 from multipos.diagnostics.variances import Residuals, across_the_force
 from multipos.estimation import known
-from multipos.estimation.batches import Estimates, model_coefficients
+from multipos.estimation.batches import Estimates
 from multipos.estimation.known import SharedDesign
 from multipos.estimation.user_models import SharedExpression, cofactors
 from multipos.fleets.grouping import ONE_TEMPERATURE
@@ -508,8 +508,7 @@ def _off_positions(shared: SharedDesign, parameters: Array, residuals: Array) ->
     force = np.ascontiguousarray(
         np.broadcast_to(shared.reference[:rows].T[:, None], (3, count, rows))
     )
-    coefficients = model_coefficients(model, parameters)
-    slopes = model.force_slopes(coefficients, force, shared.environment)
+    slopes = model.force_slopes(model.coefficients(parameters), force, shared.environment)
     of = Residuals(
         error=np.moveaxis(residuals, 0, 2),
         basis=shared.basis,

@@ -209,7 +209,7 @@ def unseen_leak(model: Model, parameters: Array, force: Array, environment: Envi
 def parameter_jacobian(
     model: Model, parameters: Array, force: Array, environment: Environment
 ) -> Array:
-    """Return dh/dp (n, M, p) at force (n, 3) [g]."""
+    """Return dh/dp (n, M, p) at force (n, 3) [g], of B units as in `Model.respond`."""
     _, blocks = model.respond(parameters, force, environment)
     result = np.zeros((len(force), len(model.outputs), len(model.keys)))
     for output, (places, slopes) in enumerate(blocks):

@@ -317,37 +317,46 @@ class Model(StatedModel):
         return phi.T
 
     def coefficients(self, parameters: Array) -> Array:
-        """Return Theta (M, T) of eq. (1); a symmetric gauge mirrors its lower triangle."""
+        """Return Theta (…, M, T) of eq. (1) of parameters (…, p).
+
+        A symmetric gauge mirrors its lower triangle.
+        """
         outputs, columns, copies = self.rows
-        theta = np.zeros((len(self.outputs), len(self.basis_terms)))
-        theta[outputs, columns] = parameters
+        theta = np.zeros((*parameters.shape[:-1], len(self.outputs), len(self.basis_terms)))
+        theta[..., outputs, columns] = parameters
         for parameter, output, column in copies:
-            theta[output, column] = parameters[parameter]
+            theta[..., output, column] = parameters[..., parameter]
         return theta
 
     def respond(
         self, parameters: Array, force: Array, environment: Environment
     ) -> tuple[Array, tuple[Block, ...]]:
-        """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
+        """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i).
+
+        Of parameters (B, p) the positions are those of B units, one after the other.
+        """
         phi = self.basis(force, environment)
         blocks = tuple(
             (places, phi.T.take(columns, axis=0).T) for columns, places in self.contributions
         )
-        return (self.coefficients(parameters) @ phi.T).T, blocks
+        theta = self.coefficients(parameters)
+        of_units = phi.T.reshape(theta.shape[-1], *theta.shape[:-2], -1)
+        outputs = theta @ of_units.swapaxes(0, -2)
+        return outputs.swapaxes(0, -2).reshape(theta.shape[-2], -1).T, blocks
 
     def force_jacobian(self, parameters: Array, force: Array, environment: Environment) -> Array:
-        """Return dy/df (n, M, 3) at force (n, 3) [g]."""
-        theta = self.coefficients(parameters)[None]
-        return self.force_slopes(theta, force.T[:, None], environment)[:, :, 0].transpose(2, 0, 1)
+        """Return dy/df (n, M, 3) at force (n, 3) [g], of B units as in `respond`."""
+        theta = self.coefficients(np.atleast_2d(parameters))
+        slopes = self.force_slopes(theta, force.T.reshape(3, len(theta), -1), environment)
+        return slopes.reshape(*slopes.shape[:2], -1).transpose(2, 0, 1)
 
     def force_slopes(self, coefficients: Array, force: Array, environment: Environment) -> Array:
         """Return dy/df (M, 3, B, n) of B units with coefficients (B, M, T) at force (3, B, n) [g].
 
-        The environment (n,) is that of every unit.
+        The environment is (n,) of every unit, or (B n,).
         """
         _, count, n = force.shape
-        if count > 1:
-            environment = {name: np.tile(column, count) for name, column in environment.items()}
+        environment = {name: np.resize(column, count * n) for name, column in environment.items()}
         result = np.empty((len(self.outputs), 3, count, n))  # positions run fastest in memory
         result[:] = (coefficients @ self.constant_slopes).transpose(1, 2, 0)[..., None]
         if not self.varying_slopes:

@@ -65,7 +65,7 @@ class StatedModel(Result):
         return not self.inner and any(quantity.bounded for quantity in self.quantities)
 
     def belief(self, parameters: Array) -> tuple[Array, Array]:
-        """Return the excess (p,) of parameters over their priors in sd, and its slopes (p,)."""
+        """Return the excess (…, p) of parameters over their priors in sd, and its slopes."""
         outer, slope = self.outward(parameters)[:2] if self.inner else (parameters, 1.0)
         root = np.sqrt(self.beliefs)
         centre = np.where(root > 0.0, np.nan_to_num(self.starts), outer)
@@ -81,30 +81,30 @@ class StatedModel(Result):
         return replace(self, inner=True)
 
     def outward(self, inner: Array) -> tuple[Array, Array, Array]:
-        """Return the parameters of unbounded ones, their slopes and second derivatives, (p,)."""
-        outer, slope, second = inner.copy(), np.ones(len(inner)), np.zeros(len(inner))
+        """Return the parameters of unbounded ones, their slopes and second derivatives, (…, p)."""
+        outer, slope, second = inner.copy(), np.ones(inner.shape), np.zeros(inner.shape)
         for i, q in enumerate(self.quantities):
-            t = inner[i]
+            t = inner[..., i]
             if np.isfinite(q.low) and np.isfinite(q.high):
                 half = (q.high - q.low) / 2.0
-                outer[i], slope[i] = q.low + half * (1.0 + np.sin(t)), half * np.cos(t)
-                second[i] = (q.low + q.high) / 2.0 - outer[i]
+                outer[..., i], slope[..., i] = q.low + half * (1.0 + np.sin(t)), half * np.cos(t)
+                second[..., i] = (q.low + q.high) / 2.0 - outer[..., i]
             elif q.bounded:
                 side = 1.0 if np.isfinite(q.low) else -1.0
                 end = q.low if np.isfinite(q.low) else q.high
                 root = np.hypot(t, 1.0)
-                outer[i], slope[i] = end + side * (root - 1.0), side * t / root
-                second[i] = side * root**-3
+                outer[..., i], slope[..., i] = end + side * (root - 1.0), side * t / root
+                second[..., i] = side * root**-3
         return outer, slope, second
 
     def bend(self, inner: Array, gradient: Array) -> Array:
-        """Return what the curvature of bounds adds to the information of unbounded ones, (p,).
+        """Return what the curvature of bounds adds to the information of unbounded ones, (…, p).
 
         Near a bound at which the best fit lies p' is next to nothing, and −g p''/p' is all there
-        is to keep a step short; `gradient` (p,) is g by t.
+        is to keep a step short; `gradient` (…, p) is g by t.
         """
         if not self.inner:
-            return np.zeros(len(inner))
+            return np.zeros(inner.shape)
         _, slope, second = self.outward(inner)
         added = -gradient * second / np.where(slope == 0.0, np.inf, slope)
         return np.asarray(np.fmax(0.0, added))

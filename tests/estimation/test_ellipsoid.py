@@ -17,7 +17,7 @@ from multipos.positions.scheme import read_scheme
 )
 @pytest.mark.parametrize("magnitude", [1.0, 0.9987])
 def test_exact_readings_give_bias_and_square_of_the_matrix(gain, offset, magnitude):
-    # eqs. (4), (5) of estimation.unknown_orientations
+    # eqs. (1), (2) of estimation.unknown_orientations
     up = read_scheme("fibonacci-24").up
     values = offset + gain * Sensor().read(magnitude * up)
     bias, found = ellipsoid_start(values, magnitude, crossed=True)
@@ -67,7 +67,7 @@ def test_flat_readings_are_refused():
 
 
 def test_the_quadric_through_points_of_an_ellipsoid_is_its_own():
-    # eq. (5) of estimation.unknown_orientations
+    # eq. (2) of estimation.unknown_orientations
     K = np.array([[1.1, 0.05, -0.1], [0.02, 0.9, 0.08], [-0.06, 0.03, 1.3]])
     bias, up = np.array([0.2, -0.1, 0.05]), mp.read_scheme("fibonacci-24").up
     for k, crossed in ((K, True), (np.diag(np.diag(K)), False)):

@@ -24,10 +24,11 @@ from multipos.estimation import (
     stated_uncertainty,
     uncertain,
     uncertain_orientations,
+    units,
     user_models,
 )
 from multipos.estimation.identifiability import CANDIDATES, least_determined
-from multipos.estimation.information import information_at
+from multipos.estimation.information import FisherInformation
 from multipos.estimation.known import REJECTED, fit_output
 from multipos.estimation.noise import NoiseEstimate
 from multipos.estimation.outliers import _outlying, find_outlying_rows, view_of
@@ -686,7 +687,7 @@ def test_combinations_that_free_angles_do_not_move(count, kind):
         "alike": np.full((4, 3), 0.7), "unlike": rng.uniform(0.5, 2.0, (4, 3)),
         "correlated": root @ root.transpose(0, 2, 1),
     }[kind]  # fmt: skip
-    block = noise._without_free(error, design, spread, full, free)
+    block = units._without_free(error, design, spread, full, free, 1)
     for k in range(4):
         V = full[k] if kind == "correlated" else np.diag(full[k])
         P = np.linalg.inv(V)
@@ -719,7 +720,7 @@ def test_a_solution_has_the_inverse_of_its_information_and_what_noise_makes_of_i
     monkeypatch.setattr(
         uncertain, "find_outlying_positions", lambda *those, **more: seen.append(those) or ()
     )
-    fisher = information_at(problem.plain, optimum.state, optimum.point)
+    fisher = FisherInformation(problem.plain, optimum.state, optimum.point)
     found = uncertain._solution(asked, optimum, fisher, given, 48.0, NoiseEstimate(factor, dof), 1)
     assert_allclose(found.covariance, factor * np.linalg.inv(S), rtol=1e-4, atol=1e-12)
     assert_allclose(found.inflation, math.sqrt(factor))
@@ -803,9 +804,9 @@ def test_a_unit_is_clear_whatever_the_size_of_its_parameters(near, clear):
     """Two parameters with a correlation of 1 − near, of eigenvalues near and 2, in units of 10⁶."""
     scale = np.array([1e-6, 1e6])
     information = np.array([[1.0, 1.0 - near], [1.0 - near, 1.0]]) * np.outer(scale, scale)
-    place = SimpleNamespace(theta=np.array([[0.5, 3.0]]), q=np.full((1, 4), 2.5))
-    search = SimpleNamespace(variance=np.full((3, 1, 4), 1e-6))
-    units = SimpleNamespace(found=place, search=search)
+    state, point = SimpleNamespace(theta=np.array([[0.5, 3.0]])), SimpleNamespace(q=np.full(4, 2.5))
+    problem = SimpleNamespace(precision=np.full((4, 3), 1e6))
+    units = SimpleNamespace(problem=problem, optimum=SimpleNamespace(state=state, point=point))
     shared = SimpleNamespace(model=SimpleNamespace(own_scales=(1,)), dof=9.0)
     U = np.array([[1.0, 1e-3]])
     found = uncertain_orientations._are_clear(shared, units, U, information[None])

@@ -1,4 +1,4 @@
-"""What is told at a point against sums over dense matrices, by one row a position and by three."""
+"""What is told at a point against sums over dense matrices."""
 
 from dataclasses import replace
 
@@ -7,10 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from multipos.estimation.descent import maximise
-from multipos.estimation.information import information_at
-from multipos.estimation.likelihood import evaluate, linearise
+from multipos.estimation.information import FisherInformation
+from multipos.estimation.likelihood import linearise
 from multipos.estimation.problem import Problem, start_state
-from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.arrays import COMPONENTS
 from multipos.numerics.cofactors import cofactors_of
 from multipos.sensor.inverse import parameter_jacobian
@@ -71,8 +70,7 @@ CASES = {
 def test_what_is_told_is_what_dense_matrices_tell(case):
     # eq. (1) of estimation.information
     problem, found = a_solution(**CASES[case])
-    assert UnknownSearch.fits(problem) == (case in ("unknown", "symmetric", "robust"))
-    told = information_at(problem, found.state, found.point)
+    told = FisherInformation(problem, found.state, found.point)
     A, W = dense(problem, found)
     S = A.T @ W @ A
     scale = np.sqrt(np.diag(S))
@@ -110,18 +108,14 @@ def test_what_is_told_is_what_dense_matrices_tell(case):
     assert_allclose(WA / scale, W @ A / scale, atol=1e-8 * np.abs(W @ A / scale).max())
 
 
-def test_one_row_a_position_is_what_three_outputs_tell():
+def test_variances_of_outputs_are_a_covariance_without_correlation():
     problem, found = a_solution()
-    general = replace(problem, precision=problem.precision[:, :, None] * np.eye(3))
-    assert UnknownSearch.fits(problem)
-    assert not UnknownSearch.fits(general)
-    fast = information_at(problem, found.state)
-    slow = information_at(general, found.state)
-    assert_allclose(fast.point.force, found.point.force, atol=1e-14)
-    assert_allclose(fast.point.q, evaluate(general, found.state).q, rtol=1e-9)
-    C = np.linalg.inv(slow.information)
-    assert_allclose(fast.leverage(C), slow.leverage(C), atol=1e-8)
-    assert_allclose(fast.leverage(C).sum(), len(C), rtol=1e-8)  # as many as there are parameters
+    full = replace(problem, precision=problem.precision[:, :, None] * np.eye(3))
+    some, whole = (FisherInformation(each, found.state) for each in (problem, full))
+    assert_allclose(some.point.q, whole.point.q, rtol=1e-9)
+    C = np.linalg.inv(whole.information)
+    assert_allclose(some.leverage(C), whole.leverage(C), atol=1e-8)
+    assert_allclose(some.leverage(C).sum(), len(C), rtol=1e-8)  # as many as there are parameters
 
 
 def test_cofactors_are_the_determinant_times_the_inverse():

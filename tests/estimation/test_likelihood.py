@@ -14,8 +14,8 @@ from multipos.estimation.descent import maximise
 from multipos.estimation.gains import restate
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
-from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.arrays import COMPONENTS
+from multipos.numerics.losses import loss_weight
 from multipos.numerics.rotations import directions, rotation_matrix
 from multipos.numerics.terms import NAMED
 from multipos.positions.scheme import read_scheme
@@ -218,7 +218,6 @@ def test_elimination_keeps_its_digits_where_placement_is_all():
 @pytest.mark.parametrize("full", [False, True], ids=["variances", "covariances"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_elimination_is_the_dense_normal_equations(kind, full):
-    # eq. (1) of estimation.descent
     problem, state = a_problem(kind, full=full)
     point = evaluate(problem, state)
     normal = linearise(problem, state, point)
@@ -306,14 +305,14 @@ def test_a_false_end_is_not_called_convergence():
     assert not found.converged
 
 
-# --- unknown orientation, with one number a position
+# --- unknown orientation, one number a position
 
 
 @pytest.mark.parametrize("robust", [None, "huber", "soft-l1", "cauchy"])
 @pytest.mark.parametrize("gauge", ["lower", "symmetric"])
 @pytest.mark.parametrize("text", ["linear", "own-cubic", "ieee-odd"])
 def test_the_surface_normal_is_the_whole_of_an_unknown_position(text, gauge, robust):
-    # eq. (1) of estimation.unknown_orientations
+    # eq. (1) of estimation.units
     rng = np.random.default_rng(6)
     n = 60
     model = a_model(text, gauge)
@@ -335,23 +334,19 @@ def test_the_surface_normal_is_the_whole_of_an_unknown_position(text, gauge, rob
         robust=robust,
     )
     state = start_state(problem, theta, -up)
-    assert UnknownSearch.fits(problem)
-    sphere = UnknownSearch.of_problem(problem)
-    place = sphere.begin(state)
     point = evaluate(problem, state)
-    assert_allclose(place.objective, point.objective, rtol=1e-13)
-    fast, slow = sphere.linearise(place), linearise(problem, state, point)
-    scale = np.sqrt(np.diag(slow.information))
-    assert_allclose(
-        fast.information[0], slow.information, atol=1e-10 * np.outer(scale, scale).max()
-    )
-    # the general path takes the difference of numbers a thousand times as large
-    assert_allclose(fast.gradient[0] / scale, slow.gradient / scale, atol=1e-8 * np.sqrt(n))
+    slow = linearise(problem, state, point)
+    G = model.force_jacobian(theta, point.force, {})
+    normal = np.linalg.solve(G.transpose(0, 2, 1), point.force[..., None])[..., 0]
+    m = normal / np.sqrt(np.sum(normal**2 / problem.precision, axis=1))[:, None]
+    weight = np.ones(n) if robust is None else loss_weight(robust, point.q, problem.degrees)
+    marginal = weight[:, None, None] * m[:, :, None] * m[:, None]
+    largest = np.abs(slow.marginal).max()
+    assert_allclose(slow.marginal, marginal, atol=1e-10 * largest)
     found = maximise(problem, state)
     assert found.converged
-    # a covariance of each reading goes the general way
+    # a covariance of each reading without correlation is the same
     full = replace(problem, precision=problem.precision[:, :, None] * np.eye(3))
-    assert not UnknownSearch.fits(full)
     general = maximise(full, state)
     # F is known to some 1e-14 of itself, and no search sees a step that takes less than that off
     # it. In units of u, whatever the parameters' correlations (ieee-odd: condition 1e5), a step is
@@ -366,7 +361,7 @@ def test_the_surface_normal_is_the_whole_of_an_unknown_position(text, gauge, rob
 
 def test_uncertain_orientations_are_the_least_squares_of_scipy():
     """Parameters and two angles of every position in one problem, turned exactly."""
-    # eq. (1) of estimation.uncertain_orientations
+    # eq. (4) of estimation.likelihood
     rng = np.random.default_rng(6)
     up = mp.read_scheme("fibonacci-24").up
     sd, s = 2e-3, np.radians(0.3)

@@ -306,7 +306,7 @@ def test_outputs_that_share_a_parameter_are_fitted_together():
 )
 def test_a_misspelt_column_does_not_become_a_parameter(model, said):
     columns = {f"up_{axis}": UP[:, i] for i, axis in enumerate("xyz")}
-    table = {**columns, "voltage": np.full(26, 5.0), "ax": 0.1 + UP[:, 0]}
+    table = {**columns, "voltage": 5.0 + UP[:, 1], "ax": 0.1 + UP[:, 0]}
     with pytest.raises(mp.UsageError) as caught:
         mp.fit(table, model=model, axes="x,y")
     assert said in str(caught.value)

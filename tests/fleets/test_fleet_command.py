@@ -450,7 +450,7 @@ def test_a_station_whose_nest_is_turned_is_named(tmp_path):
 def test_columns_of_the_bench_are_no_outputs_and_that_is_said(tmp_path):
     made = line(3, scheme="faces-corners-14")
     count = len(made["ax"])
-    beside = {"soak": np.arange(count), "cycle": np.ones(count), "run": np.ones(count)}
+    beside = {"soak": np.arange(count) // 7, "cycle": np.arange(count) % 3, "run": np.ones(count)}
     found = mp.fleet(made | beside, unit_column="unit")
     (note,) = found.findings
     assert (note.code, note.level) == ("outputs-by-name", "note")

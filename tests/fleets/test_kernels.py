@@ -58,7 +58,6 @@ def fitted(monkeypatch):
     ],
 )
 def test_unknown_orientation(scheme, options, fitted):
-    # eqs. (2), (3) of estimation.unknown_orientations
     table = line(4, scheme=scheme, noise=1e-4)
     surroundings = np.random.default_rng(3).uniform(-10.0, 10.0, len(table["unit"]) // 4)
     table["temperature"] = np.tile(surroundings, 4)
