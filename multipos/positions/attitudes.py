@@ -225,10 +225,11 @@ def roll(axis: str, angle_deg: ArrayLike) -> Attitudes:
     return from_rotation(np.stack([east, np.cross(up, east) + 0.0, up], axis=2))
 
 
-_UPWARD = ("up", "upward", "upwards", "oben", "上", "朝上", "向上")
-_DOWNWARD = ("down", "downward", "downwards", "unten", "下", "朝下", "向下")
+_UPWARD = ("up", "upward", "upwards", "top", "oben", "haut", "上", "朝上", "向上", "↑")
+_DOWNWARD = ("down", "downward", "downwards", "bottom", "unten", "bas", "下", "朝下", "向下", "↓")
 _PLUS = ("+", "p", "pos", "plus", "positive")
 _MINUS = ("-", "n", "m", "neg", "minus", "negative")
+_HYPHEN = re.compile(r"(?<=[^\W\d_])-(?=[^\W\d_])")  # between words, as in x-up: no sign
 _IGNORED = ("axis", "face", "side", "轴")
 _SIGN_OF = dict.fromkeys(_PLUS + _UPWARD, 1.0) | dict.fromkeys(_MINUS + _DOWNWARD, -1.0)
 _KNOWN = sorted((*_SIGN_OF, *COMPONENTS, *_IGNORED), key=len, reverse=True)
@@ -241,8 +242,8 @@ def parse_axis_up(text: str) -> Array | None:
     An axis with a sign, a word for up or down, or both, in any order: ``-x up``, ``pos Z``,
     ``X_neg``, ``z 朝下``.
     """
-    found = _WORDS.findall(text.translate(_SIGNS).casefold())
-    words = [word for word in found if word not in _IGNORED]
+    plain = _HYPHEN.sub(" ", text.translate(_SIGNS).casefold())
+    words = [word for word in _WORDS.findall(plain) if word not in _IGNORED]
     axes = [word for word in words if word in COMPONENTS]
     signs = [word for word in words if word in _PLUS + _MINUS]
     ways = [word for word in words if word in _UPWARD + _DOWNWARD]

@@ -427,8 +427,7 @@ def refuse_text(
 
 def find_others(chosen: Sequence[str], names: Sequence[str], by: str) -> list[Finding]:
     """Return a note of which columns are the outputs, where others might be."""
-    known = frozenset(chosen)
-    others = [name for name in names if name not in known]
+    others = [name for name in names if name not in chosen]
     if not others:
         return []
     whose = "is not used" if len(others) == 1 else "are not used"

@@ -45,7 +45,7 @@ from multipos.logs.rests import (
     is_long,
     long_enough,
 )
-from multipos.logs.samples import Samples, Store, Timing, good_rows, rows_in_log
+from multipos.logs.samples import Samples, Store, Timing, good_rows
 from multipos.logs.still import _find_spikes, would_take
 from multipos.logs.text_logs import _decode, open_lines
 from multipos.logs.waved import find_cut_off
@@ -745,16 +745,6 @@ def test_columns_that_show_gravity_vary_least_at_rest(best, rival, blocks, shown
 
 
 # --- rows and columns
-
-
-def test_rows_of_a_rest_among_those_that_were_dropped():
-    """By a list of the rows that were kept."""
-    dropped = [2, 3, 7, 11, 12, 13, 19]
-    kept = [row for row in range(24) if row not in dropped]
-    for start in range(16):
-        for end in range(start + 1, 18):
-            found = rows_in_log(Rest(start, end), dropped)
-            assert found == Rest(kept[start], kept[end - 1] + 1), (start, end)
 
 
 @pytest.mark.parametrize(

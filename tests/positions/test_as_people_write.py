@@ -20,6 +20,8 @@ WORDS = {
     "words before": ("pos z", "neg z", "pos x", "neg x", "plus y", "minus y"),
     "underscores": ("z_pos", "z_neg", "x_pos", "x_neg", "y_pos", "y_neg"),
     "both": ("+Z up", "-Z up", "-X down", "+X down", "+Y up", "-Y up"),
+    "hyphens": ("Z-up", "Z-down", "UP-X", "DOWN-X", "y-pos", "y-neg"),
+    "arrows, top, French": ("Z↑", "Z↓", "X top", "X bottom", "y haut", "y bas"),
     "minus signs": ("+z", "\N{MINUS SIGN}z", "+x", "\N{MINUS SIGN}x", "+y", "\N{MINUS SIGN}y"),
     "Chinese": ("Z朝上", "Z朝下", "X轴向上", "X轴向下", "Y上", "Y下"),
     "German": ("z oben", "z unten", "x oben", "x unten", "y oben", "y unten"),
