@@ -369,7 +369,7 @@ def _single_rows(view: View, rows: Rows) -> tuple[list[Repair], int]:
     rss, weight = _squares(view)
     left = np.maximum(1.0 - np.einsum("kp,pq,kq->k", x, G, x), _RANK)[:, None]
     rest = rss - e**2 / left
-    best: dict[tuple[str, tuple[int, ...]], tuple[float, int, _Other]] = {}
+    best: dict[str, tuple[float, int, _Other]] = {}
     tried = 0
     for other in _others(view, rows):
         across = np.einsum("kp,pq,kq->k", other.columns, G, x)[:, None]
@@ -379,9 +379,8 @@ def _single_rows(view: View, rows: Rows) -> tuple[list[Repair], int]:
         total[~other.possible] = np.inf
         tried += int(other.possible.sum())
         place = int(np.argmin(total))
-        key = other.code, other.outputs[:0]
-        if total[place] < best.get(key, (np.inf, 0, other))[0]:
-            best[key] = float(total[place]), place, other
+        if total[place] < best.get(other.code, (np.inf, 0, other))[0]:
+            best[other.code] = float(total[place]), place, other
     found = [_as_repair(view, rows, place, other, tried) for _, place, other in best.values()]
     return found, tried
 
