@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "multipos"
 
-ALL, TESTS = 50_915, 45_196
+ALL, TESTS = 50_914, 45_196
 
 # By room; what stands beside the rooms counts with the commands.
 CEILINGS = {
@@ -24,7 +24,7 @@ CEILINGS = {
     "commands": 2159,
     "compensation": 781,
     "designs": 1734,
-    "diagnostics": 3922,
+    "diagnostics": 3921,
     "estimation": 5581,
     "exports": 2446,
     "files": 3029,
