@@ -161,7 +161,8 @@ def fit(
         Size of the magnetic field and its standard uncertainty, such as '48.6uT'; a number is in
         the unit of the readings. Without it the field is of size one.
     level_sd : float [degrees]
-        Standard deviation of a tilt that all positions share, about each level axis.
+        Standard deviation of a tilt that all positions share, about each level axis; where no
+        heading is known in U as at the worst ones, as ``[level]`` of a budget.
     budget : path, tables or Budget, optional
         What is known of the measurement beside the readings (`multipos.uncertainty.budgets`).
     unit : str, optional
@@ -222,12 +223,7 @@ def fit(
     written = read_model(model)
     used = _columns_named(written)
     data = read_readings(
-        readings,
-        outputs=outputs,
-        unit=unit,
-        environment=used,
-        field=field,
-        angle_zero=angle_zero,
+        readings, outputs=outputs, unit=unit, environment=used, field=field, angle_zero=angle_zero
     )
     sensed, free = bench.field_of(data.outputs, data.unit, local), unknown_orientation
     if sensed.towards == "field":
@@ -249,6 +245,10 @@ def fit(
         data = orientations.without_orientation(data, scheme)
     else:
         data = orientations.orient(data, scheme, order, estimable=True)
+    if options.level_sd and (data.rotation is None or np.isnan(data.rotation).all()):
+        level = {"level": {"u_deg": options.level_sd}}  # at its worst headings
+        stated = read_budget({**({} if stated is None else stated.tables), **level})
+        options = replace(options, level_sd=0.0)
     _, stated_up, _ = _with_errors(built, data, size, options)
     _require_one_unit(data, sensed)
     # Six positions that are inverted are all needed, and a loss looks for rows itself.

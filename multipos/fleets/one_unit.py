@@ -54,7 +54,7 @@ def fit_unit(
     unit, station : str
         The station where the unit was at several.
     data : paths, optional
-        The tables of the fleet; otherwise those that it names, in `beside` or this folder.
+        The tables of the fleet; otherwise those that it names, in `beside`, here or in its folders.
     beside : path
 
     Raises
@@ -107,7 +107,7 @@ def _named(found: Mapping[str, Any], beside: Path) -> list[Source]:
     """Return the tables that a fleet names, where they lie."""
     tables: list[Source] = []
     for each in found["input"]:
-        places = [folder / each["file"] for folder in (beside, Path())]
+        places = [folder / each["file"] for folder in (beside, Path(), *Path().glob("*"))]
         there = next((path for path in places if is_there(path)), None)
         if there is None:
             raise MultiposError(

@@ -23,11 +23,7 @@ import numpy as np
 from multipos.diagnostics.examination import are_open, are_poorly_known
 from multipos.diagnostics.projections import Kind
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
-from multipos.estimation import (
-    correlated_rows,
-    uncertain_orientations,
-    user_models,
-)
+from multipos.estimation import correlated_rows, uncertain_orientations, user_models
 from multipos.estimation.batches import Estimates
 from multipos.estimation.known import REJECTED, SharedDesign, estimate_known, share_design
 from multipos.estimation.unknown_orientations import SharedSphere, estimate_unknown, share_sphere

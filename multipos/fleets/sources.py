@@ -237,8 +237,11 @@ def _is_path(source: Source) -> TypeGuard[StrPath]:
 
 
 def _file_units(files: Sequence[Source]) -> list[str]:
-    """Return the units that files name: without ending, with their folder where names repeat."""
-    stems = [_unpacked(Path(str(file))).stem if _is_path(file) else "" for file in files]
+    """Return the units that files name: without ending, with their folder where names repeat.
+
+    A link has the name of its file.
+    """
+    stems = [_unpacked(_linked(Path(str(file)))).stem if _is_path(file) else "" for file in files]
     if len(set(stems)) == len(stems):
         return stems
     paths = [Path(str(file)) if _is_path(file) else Path() for file in files]
@@ -247,6 +250,11 @@ def _file_units(files: Sequence[Source]) -> list[str]:
         often = Counter(stems)
         stems = [long if often[n] > 1 else n for n, long in zip(stems, longer, strict=True)]
     return stems
+
+
+def _linked(path: Path) -> Path:
+    """Return the file that a link is of."""
+    return path.resolve() if path.is_file() else path
 
 
 def _drop_repeated(read: list[Table | MultiposError | None], named: Sequence[str]) -> Findings:

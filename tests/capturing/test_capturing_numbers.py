@@ -79,36 +79,8 @@ def test_a_frame_without_a_centre_is_of_a_known_g(size, found):
     assert poses.find_frame(many[:, :2], (0, 1), "force", None) is None
 
 
-def test_angles_between_directions_near_and_far():
-    rng = np.random.default_rng(2)
-    up = rng.normal(size=(5, 3))
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    up[3] = up[0] + 1e-9 * np.cross(up[0], up[1]) / np.linalg.norm(np.cross(up[0], up[1]))
-    by_hand = np.degrees(np.arccos(up[[1, 2, 4]] @ up[0]))
-    assert_allclose(poses.apart_deg(up, up[0])[[1, 2, 4]], by_hand)
-    assert poses.apart_deg(up, up[0])[3] == pytest.approx(math.degrees(1e-9))
-    assert poses.apart_deg(-up[:1] * (1.0 + 1e-12), up[0])[0] == pytest.approx(180.0)
-
-
 def of_plan(scheme=None, targets=None, order="scheme", **fitting):
     return SimpleNamespace(scheme=scheme, targets=targets or {}, order=order, fitting=fitting)
-
-
-@pytest.mark.parametrize(
-    ("asked", "terms"),
-    [("1 + own", 6), ("own-quadratic", 15), ("1 + x + y + z + temperature", 12), ("own.toml", 12),
-     ("a = b*x", 12), (len, 12)],
-)  # fmt: skip
-def test_the_model_by_which_poses_are_chosen(asked, terms):
-    """The one asked for, or the linear one; without a scheme less the rotations of the case."""
-    outputs = ("az", "ax", "ay")
-    scheme = mp.read_scheme("fibonacci-9")
-    model = evaluation.model_of(of_plan(scheme, model=asked), outputs, "g")
-    assert (len(model.names), model.axes, model.gauge) == (terms, ("z", "x", "y"), None)
-    assert model.environment == ()
-    free = evaluation.model_of(of_plan(model=asked, axes=["y", "z", "x"]), outputs, "g")
-    assert (free.axes, free.gauge) == (("y", "z", "x"), "lower")
-    assert len(free.names) == (6 if terms == 6 else terms - 3)
 
 
 class Fitted(SimpleNamespace):

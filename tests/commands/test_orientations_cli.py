@@ -163,12 +163,6 @@ BAD = {
         "unknown orientations and open rolls need three outputs, one along each axis; got ax, ay ",
     ),
     "no orientation": (table(), ("--orientation-sd", "0.1"), 1, "no orientation; give --scheme"),
-    "no heading": (
-        table(columns=ups()),
-        ("--level-sd", "0.1"),
-        1,
-        "--level-sd needs the heading, and position '1'",
-    ),
     "negative sd in the file": (
         table(columns=ups() | {"orientation_sd_deg": ["-1"] * 24}),
         (),

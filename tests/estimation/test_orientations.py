@@ -644,9 +644,20 @@ def test_a_group_tells_the_convention():
     assert any("Fit with --convention specific-force" in w for w in texts(cal))
 
 
-def test_level_sd_needs_whole_attitudes():
+def test_level_sd_without_headings_is_that_of_the_worst():
+    readings = readings_of(SENSOR, UP, rng())
+    found = mp.fit(readings, level_sd=0.1)
+    level = mp.fit(readings, budget={"level": {"u_deg": 0.1}})
+    np.testing.assert_array_equal(found.covariance, level.covariance)
+    assert "open-headings" in [each.code for each in found.findings]
+
+
+def test_level_sd_needs_all_headings_or_none():
+    readings = readings_of(SENSOR, UP, rng())
+    rotation = np.full((len(UP), 3, 3), np.nan)
+    rotation[1] = mp.read_scheme("dual-axis-48").rotation[0]
     with pytest.raises(mp.MultiposError, match="--level-sd needs the heading, and position '1'"):
-        mp.fit(readings_of(SENSOR, UP, rng()), level_sd=0.1)
+        mp.fit(replace(readings, rotation=rotation), level_sd=0.1)
 
 
 def test_level_sd_is_inside_every_u():

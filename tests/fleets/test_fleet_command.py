@@ -360,6 +360,21 @@ def test_a_bad_file_in_a_folder_is_a_failed_unit_and_a_copy_is_left_out(tmp_path
     assert sum(row["verdict"] == "pass" for row in rows.values()) == 4  # of five files
 
 
+def test_a_link_is_called_as_its_file_and_a_unit_of_a_folder_has_its_report(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    whole = line(3, scheme="faces-corners-14")
+    for folder in ("real", "lots"):
+        (tmp_path / folder).mkdir()
+    for unit in dict.fromkeys(whole["unit"].tolist()):
+        mp.write_table(tmp_path / "real" / f"{unit}.csv", rows_of(whole, unit))
+        (tmp_path / "lots" / f"link-{unit}.csv").symlink_to(tmp_path / "real" / f"{unit}.csv")
+    assert main(["fleet", "lots", "-o", "out"]) == 0
+    assert main(["report", "out", "--unit", "U0001", "-o", "u.md"]) == 0, capsys.readouterr().err
+    assert "bias_ax" in (tmp_path / "u.md").read_text("utf-8")
+
+
 @pytest.mark.parametrize("pack", [gzip.compress, lzma.compress])
 def test_a_packed_file_beside_its_own_is_no_second_unit(pack, tmp_path, capsys):
     lot, out = tmp_path / "lot", tmp_path / "out"
