@@ -28,17 +28,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from multipos.estimation import variances
 from multipos.estimation.correlated_rows import sd_of_rows
 from multipos.estimation.problem import Solution
-from multipos.estimation.variances import (
-    Axis,
-    Block,
-    Linear,
-    Names,
-    dof_of,
-    half_interval,
-    integrate,
-)
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import coverage_factors
@@ -90,12 +82,8 @@ def spread_zeros(
         ratio[mine] = U / (coverage_factors(_COVERAGE, dof[mine]) * u)
         means = [error[each].mean() for each in Z.T]
         sizes.append(f"{model.outputs[i]} {np.std(means, ddof=1):.2g}")
-    solution = replace(
-        solution,
-        covariance=solution.covariance * np.outer(ratio, ratio),
-        inflation=solution.inflation * ratio,
-        parameter_dof=dof,
-    )
+    inflation, covariance = solution.inflation * ratio, solution.covariance * np.outer(ratio, ratio)
+    solution = replace(solution, covariance=covariance, inflation=inflation, parameter_dof=dof)
     if not by_run:
         return solution
     text = (
@@ -142,7 +130,7 @@ def _judge(X: Array, e: Array, weight: Array, zeros: Places) -> tuple[Array, Arr
     """Return U (p,) and its degrees of freedom, of rows whitened by their weights (n,)."""
     n, p = X.shape
     shared = weight[None, :, None, None] * [1.0, 0.0, 0.0]  # as a rotation of one component
-    block = Block(
+    block = variances.Block(
         *(e[None, :, None], X[None, :, None], np.zeros((1, n, 1, 2)), np.ones((1, n, 1))),
         turned=np.array(shared),
         label=zeros,
@@ -152,7 +140,8 @@ def _judge(X: Array, e: Array, weight: Array, zeros: Places) -> tuple[Array, Arr
     noise = np.std(e - weight * mean[zeros])
     size = np.sqrt(1.0 / square.mean())  # at which a zero is as the noise of its mean
     high = _HIGH * (size + mean.std() / noise)
-    axis = Axis(np.array([_LOW * size]), np.array([high]), _NONE)
-    found = integrate(Linear((block,)), [axis], Names(stated=False, label=0))
-    tails = dof_of(found.weights, found.variances)[0]
-    return half_interval(found)[0][0], np.minimum(tails, float(n - p))
+    axis = variances.Axis(np.array([_LOW * size]), np.array([high]), _NONE)
+    linear, names = variances.Linear((block,)), variances.Names(stated=False, label=0)
+    found = variances.integrate(linear, [axis], names)
+    tails = variances.dof_of(found.weights, found.variances)[0]
+    return variances.half_interval(found)[0][0], np.minimum(tails, float(n - p))

@@ -83,8 +83,7 @@ def test_u_of_parameters_holds_what_eight_soaks_differ_by(wander, sets):
         values += wander * rng.standard_normal((8, 3))[soak]
         readings = mp.Readings(values, up=up, unit="g", environment={"temperature": T})
         c = mp.fit(readings, model="1 + x + y + z + temperature + temperature^2")
-        own = [(p.value - truth[p.term], p.U) for p in c.entries if p.term in truth]
-        inside += [abs(off) <= U for off, U in own]
+        inside += [abs(p.value - truth[p.term]) <= p.U for p in c.entries if p.term in truth]
     assert np.mean(inside) > 0.95 - 4.0 * np.sqrt(0.05 / len(inside))
 
 

@@ -14,15 +14,17 @@ NOISE = 1e-4  # g
 WARM = 1e-3 * np.array([1.0, 0.7, -0.5])
 
 
-def session(seed, *, n=24, tau=0.2, warm=WARM, noise=NOISE, timed=True):
+def session(seed, *, n=24, tau=0.2, warm=WARM, rho=0.0, timed=True):
     """Return columns of rows a minute apart, τ as a share of the session, and the truth."""
     rng = np.random.default_rng([seed, n])
     up = rng.permutation(mp.read_scheme(f"fibonacci-{n}").up)
     K = np.eye(3) + 0.01 * rng.standard_normal((3, 3))
     zero = 0.02 * rng.standard_normal(3)
     t = np.linspace(0.0, 1.0, n)
-    values = zero + up @ K.T + noise * rng.standard_normal((n, 3))
-    values += np.exp(-t / tau)[:, None] * warm
+    noise = rng.standard_normal((n, 3))
+    for k in range(1, n):
+        noise[k] = rho * noise[k - 1] + np.sqrt(1.0 - rho**2) * noise[k]
+    values = zero + up @ K.T + NOISE * noise + np.exp(-t / tau)[:, None] * warm
     names = ("ax", "ay", "az", "up_x", "up_y", "up_z")
     columns = dict(zip(names, np.hstack([values, up]).T, strict=True))
     if timed:
@@ -34,8 +36,7 @@ def test_tau_is_that_of_dense_least_squares_and_u_holds_it():
     # eqs. (1), (2), (3) of estimation.session_drift
     columns, *_ = session(1, timed=False)
     c = mp.fit(columns, unit="g", drift=True, **EXACT)
-    tau, u = c.model.drift_tau
-    t = np.arange(24.0)
+    (tau, u), t = c.model.drift_tau, np.arange(24.0)
     y = np.column_stack([columns[name] for name in ("ax", "ay", "az")])
     X = np.column_stack([np.ones(24), *(columns[f"up_{axis}"] for axis in "xyz")])
 
@@ -46,18 +47,14 @@ def test_tau_is_that_of_dense_least_squares_and_u_holds_it():
     grid = np.linspace(np.log(0.25 * tau), np.log(4.0 * tau), 2001)
     sizes = left(np.exp(-t / tau))  # by which outputs are weighed
     q = np.array([np.sum(left(np.exp(-t / np.exp(each))) / sizes) for each in grid])
-    weight = q ** (-(72.0 - 15.0) / 2.0)
-    weight /= weight.sum()
+    weight = q**-28.5 / np.sum(q**-28.5)
     mean = weight @ grid
     assert_allclose(np.log(tau), mean, atol=0.02 * u / tau)
     assert_allclose(u / tau, np.sqrt(weight @ (grid - mean) ** 2), rtol=0.02)
-    column = np.exp(-t / tau)
-    B = np.linalg.pinv(np.column_stack([X, column]))
+    B = np.linalg.pinv(np.column_stack([X, np.exp(-t / tau)]))
     plain = np.sqrt(sizes / 19.0 * (B[0] @ B[0]))
-    amplitude = np.array([c[f"drift_a{axis}"].value for axis in "xyz"])
-    moved = (B[0] @ (column * t / tau)) * amplitude * u / tau
-    biases = np.array([c[f"bias_a{axis}"].u for axis in "xyz"])
-    assert_allclose(biases, np.hypot(plain, moved), rtol=1e-8)
+    moved = (B[0] @ (np.exp(-t / tau) * t / tau)) * c.parameters[4::5] * u / tau
+    assert_allclose(c.u[::5], np.hypot(plain, moved), rtol=1e-8)
 
 
 @pytest.mark.parametrize(("timed", "unit"), [(True, "s"), (False, "row")])
@@ -69,7 +66,6 @@ def test_the_drift_is_in_files_and_left_out_of_the_sensor(timed, unit, tmp_path)
     tau = said["drift"]["tau"]
     assert (said["drift"]["kind"], tau["unit"]) == ("exponential", unit)
     assert abs(tau["value"] - 0.2 * 23.0 * (60.0 if timed else 1.0)) < 3.0 * tau["u"]
-    assert abs(c["drift_ax"].value - WARM[0]) < c["drift_ax"].U
     assert mp.load(tmp_path / "c.json") == c
     settled = zero + 0.5 * K[:, 0]
     assert_allclose(c.compensate(settled[None])[0], [0.5, 0.0, 0.0], rtol=0, atol=2e-4)
@@ -121,19 +117,26 @@ def test_u_covers_the_settled_sensor(n, options, sets):
         c = mp.fit(columns, unit="g", drift=True, **options)
         if c.model.drift_tau is None:  # a line, in mid-session
             zero = zero + np.exp(-2.5) * WARM
-        biases = [c[f"bias_a{axis}"] for axis in "xyz"]
-        inside += [abs(p.value - b) <= p.U for p, b in zip(biases, zero, strict=True)]
-    assert np.mean(inside) > 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / len(inside))
+        place = [c.names.index(f"bias_a{axis}") for axis in "xyz"]
+        inside.append(np.abs(c.parameters[place] - zero) <= c.U[place])
+    assert np.mean(inside) > 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / (3.0 * sets))
 
 
 @pytest.mark.parametrize("sets", [12, pytest.param(80, marks=pytest.mark.slow)])
 def test_a_line_stays_one(sets):
-    """Of healthy sets one in ten has an exponential that fits as well as chance lets it."""
-    kinds = []
+    """A fall of 1 mg, of an exponential of a hundred sessions; one in ten bends by chance."""
+    lines = [session(seed, tau=100.0, warm=100.0 * WARM)[0] for seed in range(sets)]
+    drifts = [mp.fit(each, unit="g", drift=True, **EXACT).model.drift for each in lines]
+    assert [each["kind"] for each in drifts].count("exponential") <= 0.1 * sets + 1
+
+
+@pytest.mark.parametrize(("n", "options"), [(12, EXACT), (12, {}), (24, EXACT), (24, {})], ids=str)
+@pytest.mark.parametrize("sets", [12, pytest.param(60, marks=pytest.mark.slow)])
+def test_u_keeps_the_correlation_of_timed_rows(n, options, sets):
+    """Noise of .9 from row to row; biases covered 39 and 93 % by default."""
+    inside = []
     for seed in range(sets):
-        columns, *_ = session(seed, warm=0.0 * WARM)
-        for name in ("ax", "ay", "az"):
-            columns[name] += 1e-3 * np.linspace(-0.5, 0.5, 24)
-        c = mp.fit(columns, unit="g", drift=True, **EXACT)
-        kinds.append(c.model.drift["kind"])
-    assert kinds.count("exponential") <= 0.1 * sets + 1
+        columns, zero, _ = session(seed, n=n, warm=0.0 * WARM, rho=0.9)
+        c = mp.fit(columns, unit="g", drift=True, **options)
+        inside.append(np.abs(c.parameters[::5] - zero) <= c.U[::5])
+    assert np.mean(inside) > 0.84 - 0.6 / np.sqrt(sets)
