@@ -65,8 +65,8 @@ def test_every_option_of_average_and_fit_is_one_of_calibrate():
     options = {action.dest for action in command_parser("calibrate")._actions}
     for name in ("average", "fit", "export"):
         theirs = {action.dest for action in command_parser(name)._actions}
-        # a regression is corrected, and calibrate makes none
-        assert theirs - {"readings", "calibration", "correct"} <= options
+        # a regression is corrected, and calibrate makes none; a log has no angles
+        assert theirs - {"readings", "calibration", "correct", "angle_zero"} <= options
 
 
 def test_the_command_writes_the_calibration_and_the_exports_beside_it(path, tmp_path, capsys):
@@ -351,7 +351,7 @@ def test_no_scipy_on_the_way_from_a_log_to_c(path, tmp_path):
 def test_every_keyword_of_average_and_fit_is_one_of_calibrate():
     theirs = {**signature(mp.average).parameters, **signature(mp.fit).parameters}
     ours = signature(mp.calibrate).parameters
-    assert set(theirs) - {"readings"} == set(ours)
+    assert set(theirs) - {"readings", "angle_zero"} == set(ours)
     for name, parameter in ours.items():
         # a rest of a log is one of many, a row of a table is somebody's
         own = {"exclude": "auto", "model": None}
