@@ -131,7 +131,7 @@ def deviances_of(of: Residuals) -> tuple[Array, Array, Array]:
     total = float(of.dof.sum())
     equal = total * np.log(squares.sum(axis=1) / total)
     unequal = np.log(squares / of.dof) @ of.dof
-    if of.contrasts < 1 or of.error.shape[2] != of.slopes.shape[3]:
+    if of.error.shape[2] != of.slopes.shape[3] or of.contrasts < 1:
         return equal, unequal, np.full(len(equal), np.inf)
     along, across = _apart(of, response)
     nu = float(of.contrasts)

@@ -86,16 +86,12 @@ class _At:
 
     def of(self, units: NDArray[Any]) -> "_At":
         """Return some of the units."""
-        places = np.arange(len(self.theta))[units]
-        every = len(places) == len(self.theta)
-        return _At(self.standing if every else some_units(self.standing, places))
+        return _At(some_units(self.standing, np.arange(len(self.theta))[units]))
 
     def put(self, units: Places, other: "_At") -> None:
         """Put other units in places of these."""
-        every = len(units) == len(self.theta)
         if len(units):
-            new = other.standing
-            self.standing = new if every else with_units(self.standing, units, new)
+            self.standing = with_units(self.standing, units, other.standing)
 
 
 class _Equations(NamedTuple):

@@ -407,10 +407,10 @@ def with_units(here: Standing, units: Places, other: Standing) -> Standing:
 def _joined(
     of_units: Callable[..., Array], of_rows: Callable[..., Array], *each: Standing
 ) -> Standing:
-    """Return what two functions make of arrays by unit and by row; units share no unknowns."""
+    """Return what two functions make of arrays by unit and by row; one unit may have others."""
     states, points = zip(*each, strict=True)
     state = replace(
-        states[0],
+        states[-1],
         theta=of_units(*(one.theta for one in states)),
         centre=of_rows(*(one.centre for one in states)),
         basis=of_rows(*(one.basis for one in states)),

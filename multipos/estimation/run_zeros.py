@@ -41,6 +41,7 @@ from multipos.sensor.model import Model
 from multipos.sensor.temperature import SEEN, runs_of
 
 _COVERAGE = 0.95  # that of `half_of_mixture`
+_MOST = 1e5  # ratio beyond which sums of squares have no digits left
 _NONE = 0.2  # probability that zeros are alike
 _LOW, _HIGH = 0.3, 1e3  # their sd, to that of the mean of their rows and to what they show
 _ROUNDING = 1e-12  # of the largest reading, below which a residual is nothing
@@ -139,8 +140,8 @@ def _judge(X: Array, e: Array, weight: Array, zeros: Places) -> tuple[Array, Arr
     mean = np.bincount(zeros, weight * e) / square
     noise = np.std(e - weight * mean[zeros])
     size = np.sqrt(1.0 / square.mean())  # at which a zero is as the noise of its mean
-    high = _HIGH * (size + mean.std() / noise)
-    axis = variances.Axis(np.array([_LOW * size]), np.array([high]), _NONE)
+    high = min(_HIGH * (size + mean.std() / noise), _MOST)
+    axis = variances.Axis(np.array([min(_LOW * size, high / 2.0)]), np.array([high]), _NONE)
     linear, names = variances.Linear((block,)), variances.Names(stated=False, label=0)
     found = variances.integrate(linear, [axis], names)
     tails = variances.dof_of(found.weights, found.variances)[0]

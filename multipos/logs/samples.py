@@ -375,6 +375,9 @@ class Samples(Kept):
         """Return a column; where bad rows are left out, whatever it holds."""
         if self._drop_bad:
             return np.asarray(table.columns[name], dtype=np.float64)
+        if self._as_they_are and empty:
+            values = table.numbers(name)
+            return np.where(np.abs(values) <= largest, values, np.nan)
         return table.number(name, empty=empty, largest=largest)
 
     def _output(self, table: Table, name: str) -> Array:

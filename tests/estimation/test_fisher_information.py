@@ -118,16 +118,6 @@ def test_variances_of_outputs_are_a_covariance_without_correlation():
     assert_allclose(some.leverage(C).sum(), len(C), rtol=1e-8)  # as many as there are parameters
 
 
-def test_cofactors_are_the_determinant_times_the_inverse():
-    rng = np.random.default_rng(2)
-    G = rng.standard_normal((3, 3, 4, 5))
-    C = cofactors_of(G)
-    determinant = np.linalg.det(G.transpose(2, 3, 0, 1))
-    assert_allclose(
-        np.einsum("kibn,kjbn->bnij", G, C), determinant[..., None, None] * np.eye(3), atol=1e-14
-    )
-
-
 def test_cofactors_of_a_matrix_without_inverse_by_hand():
     assert cofactors_of(np.arange(1.0, 10.0).reshape(3, 3)).tolist() == [
         [-3.0, 6.0, -3.0],

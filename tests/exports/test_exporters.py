@@ -578,7 +578,7 @@ def test_a_number_is_the_same_in_python_json_c_and_on_pages(tmp_path, capsys):
     for ending in ("md", "html"):
         assert main(["report", str(kept), "-o", str(tmp_path / f"r.{ending}")]) == 0
         pages[ending] = (tmp_path / f"r.{ending}").read_text("utf-8")
-        pages[ending] = pages[ending].replace("−", "-").replace("\u2007", "")
+        pages[ending] = pages[ending].replace("−", "-").replace("\u2007", "").replace("\u2008", "")
     for p in cal.entries:
         name = re.escape(p.name)
         row = re.search(rf"^{name} +(\S+) +(\S+?)\((\d+)\) +(\S+)", screen, re.MULTILINE)
