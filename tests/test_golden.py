@@ -399,7 +399,7 @@ def warm(scheme="fibonacci-24", seed=13):
     return table(up, values) | {"temperature": T}
 
 
-@case()
+@case(ITERATED)  # zeros of soaks are integrated over
 def temperature():
     cal = fit(warm(), model="1 + x + y + z + temperature + temperature*own")
     yield "fit", cal

@@ -182,7 +182,7 @@ def find_level_zero(readings: Readings) -> list[Finding]:
             if COMPONENTS[axis] in roll.plane:
                 across = COMPONENTS.index(roll.plane.replace(COMPONENTS[axis], ""))
                 columns = np.column_stack([np.ones(len(up)), up[:, axis], up[:, across]])
-                slopes.append(np.linalg.lstsq(columns, values)[0][1:].tolist())
+                slopes.append(np.linalg.lstsq(columns, values, rcond=None)[0][1:].tolist())
     if not slopes or any(abs(own) > _LITTLE * other for own, other in slopes):
         return []
     text = "readings follow the sine of the angle, as where it is counted from level"
