@@ -25,7 +25,7 @@ from multipos.estimation.problem import (
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.levenberg_marquardt import ROBUST, STRICT, Rules, descend
 
-_FEW = np.radians(5.0)  # degrees of orientation errors that bend F by little
+WIDE = np.radians(5.0)  # up to which orientation errors bend F by little
 _HARDLY = 1e-6  # damping of the first step there
 
 
@@ -48,7 +48,7 @@ def resume(problem: Problem, optimum: Optimum, decrement: float = STRICT) -> Opt
 
 def _maximise(problem: Problem, state: State, decrement: float) -> Optimum:
     rules = Rules(decrement=decrement) if problem.robust is None else ROBUST
-    if problem.tied.any() and (problem.orientation_sd <= _FEW).all():
+    if problem.tied.any() and (problem.orientation_sd <= WIDE).all():
         rules = rules._replace(damping=_HARDLY)
     start = replace(state, theta=np.atleast_2d(state.theta))
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a trial may run away

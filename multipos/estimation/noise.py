@@ -34,7 +34,7 @@ import numpy as np
 
 from multipos.estimation import descent, known, likelihood, starts, variances
 from multipos.estimation.problem import Optimum, Problem, Solution, start_state
-from multipos.estimation.units import Units, linear_model
+from multipos.estimation.units import FINEST, WIDEST, Units, linear_model
 from multipos.estimation.variances import Components, StatedComponents
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, Array, Mask, median
@@ -47,8 +47,6 @@ from multipos.sensor.inverse import parameter_jacobian
 _DETERMINED = 2.0  # factor to either side within which an orientation error is called determined
 _MORE = 2.0  # times the stated orientation sd, from which on a larger one is said
 _ROUNDING = 1e-9  # relative, below which no sd is known
-_FINEST = 1e-15  # of the largest reading, below which no noise is
-_WIDEST = 1.0  # [rad], beyond which an orientation is as good as unknown
 _NO_UNCERTAINTY = Finding(
     "no-dof",
     "warning",
@@ -208,8 +206,8 @@ def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
     unit = Units(first, first, optimum, stated=False)
     linear = unit.linear()
     noise, factor = variances.own_axes_weights(linear)
-    noise = max(noise, (_FINEST * float(np.abs(first.values).max())) ** 2)
-    factor = min(factor, (_WIDEST / float(first.orientation_sd.max())) ** 2)
+    noise = max(noise, (FINEST * float(np.abs(first.values).max())) ** 2)
+    factor = min(factor, (WIDEST / float(first.orientation_sd.max())) ** 2)
     m = first.values.shape[1]
     following, _ = unit.searched(np.full((1, m), noise), np.array([factor]))
     U, dof = variances.by_own_axes(following.linear(), _are_crossed(first))

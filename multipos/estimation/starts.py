@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import ConvergenceError, MultiposError, RankError
-from multipos.estimation import descent, uncertain_orientations, unknown_orientations
+from multipos.estimation import descent, unknown_orientations
 from multipos.estimation.identifiability import (
     CANDIDATES,
     UNSEEN,
@@ -278,7 +278,7 @@ def search(problem: Problem) -> tuple[Optimum, FisherInformation]:
     """
     best: tuple[State, Optimum] | None = None
     fault: MultiposError | None = None
-    wide = bool((problem.orientation_sd[problem.listed] > uncertain_orientations.WIDE).any())
+    wide = bool((problem.orientation_sd[problem.listed] > descent.WIDE).any())
     for start in ways(problem):
         try:
             state = start(problem)

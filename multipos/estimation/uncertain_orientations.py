@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from multipos.estimation.batches import Estimates, compensated, join_estimates
-from multipos.estimation.descent import maximise
+from multipos.estimation.descent import WIDE, maximise
 from multipos.estimation.known import ROUNDING, share_design
 from multipos.estimation.likelihood import evaluate
 from multipos.estimation.problem import RELATIVE_NOISE
@@ -27,7 +27,6 @@ from multipos.results import frozen
 from multipos.sensor.model import Model
 from multipos.sensor.studentised import find_outlying_positions, square_beyond, studentised_squares
 
-WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
 _STICKS_OUT = 5e-4  # probability that chance makes the largest residual of an output as large
 _FREE = 3.0  # degrees of freedom without which none sticks out
 

@@ -24,8 +24,8 @@ from multipos.numerics.rotations import cross_matrix, tangent_basis
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
 
-_FINEST = 1e-15  # of the largest reading, below which no noise is
-_WIDEST = 1.0  # [rad], beyond which an orientation is as good as unknown
+FINEST = 1e-15  # of the largest reading, below which no noise is
+WIDEST = 1.0  # [rad], beyond which an orientation is as good as unknown
 _RANK = 1e-7  # of the largest singular value, scaled, below which nothing is determined
 
 
@@ -64,7 +64,7 @@ class Units:
         problem = replace(self.first, precision=self._precision(np.repeat(noise, n, axis=0)))
         if factor is not None:
             sd = self.first.orientation_sd * np.repeat(np.sqrt(factor), n)
-            sd = np.where(np.isfinite(sd), np.minimum(sd, _WIDEST), sd)
+            sd = np.where(np.isfinite(sd), np.minimum(sd, WIDEST), sd)
             problem = replace(problem, orientation_sd=sd)
         optimum = descent.resume(problem, self.optimum)
         one = optimum.state.theta.ndim == 1
@@ -75,7 +75,7 @@ class Units:
         """Return the precision of readings of noise (n, M) beside what is stated of them."""
         first = self.first
         if not self.stated:
-            least = (_FINEST * float(np.abs(first.values).max())) ** 2
+            least = (FINEST * float(np.abs(first.values).max())) ** 2
             return 1.0 / np.maximum(noise, least)
         if first.precision.ndim == 2:
             return np.asarray(1.0 / (1.0 / first.precision + noise))
